@@ -1,0 +1,1 @@
+"""Drive presets: one file each, found by scanning this folder."""

@@ -1,0 +1,127 @@
+"""Cubic Hermite interpolation of one accepted step, on the fraction s in [0, 1]."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+Scalar = Any
+
+_POLISH = 7  # safeguarded Newton iterations; a cubic on a bracket converges to rounding in 5-6
+
+
+class Cubic(NamedTuple):
+    """c(s) = c0 + c1 s + c2 s^2 + c3 s^3."""
+
+    c0: Scalar
+    c1: Scalar
+    c2: Scalar
+    c3: Scalar
+
+    def value(self, s: Scalar) -> Scalar:
+        return self.c0 + s * (self.c1 + s * (self.c2 + s * self.c3))
+
+    def slope(self, s: Scalar) -> Scalar:
+        return self.c1 + s * (2.0 * self.c2 + s * (3.0 * self.c3))
+
+    def scaled(self, factor: Scalar) -> Cubic:
+        return Cubic(*(factor * c for c in self))
+
+    def shifted(self, offset: Scalar) -> Cubic:
+        return self._replace(c0=self.c0 + offset)
+
+
+def cubic(start: Scalar, start_rate: Scalar, end: Scalar, end_rate: Scalar, h: Scalar) -> Cubic:
+    """The cubic through both ends of a step of length h; rates are per second."""
+    d0, d1, rise = h * start_rate, h * end_rate, end - start
+    return Cubic(start, d0, 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise)
+
+
+def _safe_divide(a: Scalar, b: Scalar) -> Scalar:
+    return a / jnp.where(b == 0.0, 1.0, b) * (b != 0.0)
+
+
+def turning_points(c: Cubic) -> tuple[Scalar, Scalar]:
+    """The fractions of zero slope inside (0, 1); 0 where there is none. Not differentiable."""
+    c = jax.lax.stop_gradient(c)
+    disc = c.c2 * c.c2 - 3.0 * c.c3 * c.c1
+    root = jnp.sqrt(jnp.maximum(disc, 0.0))
+    # The stable pair: never subtract nearly equal numbers.
+    q = -(c.c2 + jnp.where(c.c2 >= 0.0, root, -root))
+    candidates = _safe_divide(q, 3.0 * c.c3), _safe_divide(c.c1, q)
+    inside = [(disc > 0.0) & (s > 0.0) & (s < 1.0) for s in candidates]
+    first, second = (jnp.where(ok, s, 0.0) for s, ok in zip(candidates, inside, strict=True))
+    return first, second
+
+
+def largest(c: Cubic) -> Scalar:
+    """The maximum of c on [0, 1]; its derivative is that of c at the maximiser (envelope)."""
+    a, b = turning_points(c)
+    ends = jnp.maximum(c.value(0.0), c.value(1.0))
+    return jnp.maximum(ends, jnp.maximum(c.value(a), c.value(b)))
+
+
+def smallest(c: Cubic) -> Scalar:
+    """The minimum of c on [0, 1]."""
+    return -largest(c.scaled(-1.0))
+
+
+def leaves_positive(c: Cubic, tolerance: Scalar) -> tuple[Scalar, Scalar]:
+    """Whether c falls below -tolerance on (0, 1], and a fraction at which it is negative.
+
+    The fraction is that of the lowest interior point (a dip that both ends do not show) or 1.
+    """
+    a, b = turning_points(c)
+    value_a, value_b = c.value(a), c.value(b)
+    s_dip = jnp.where(value_a < value_b, a, b)
+    dips = (s_dip > 0.0) & (jnp.minimum(value_a, value_b) < -tolerance)
+    ends = c.value(1.0) < -tolerance
+    return dips | ends, jnp.where(dips, s_dip, 1.0)
+
+
+def first_root(c: Cubic, s_negative: Scalar, tolerance: Scalar) -> Scalar:
+    """The root of c between 0, where c >= 0, and `s_negative`, where c < 0.
+
+    A step that starts ON the surface has the trivial root s = 0: it is divided out, so that a
+    return to the surface within the same step is found. Not differentiable: callers that need
+    the derivative of the crossing use `crossing`.
+    """
+    c = jax.lax.stop_gradient(c)
+    on_surface = c.c0 <= jnp.maximum(tolerance, 1e-6 * jnp.abs(c.c1))
+    zero = jnp.zeros_like(c.c0)
+    f = Cubic(*(jnp.where(on_surface, d, k) for d, k in zip((*c[1:], zero), c, strict=True)))
+    low, high = jnp.zeros_like(s_negative), s_negative
+    start, end = f.value(low), f.value(high)
+    s = high * jnp.clip(_safe_divide(start, start - end), 0.0, 1.0)
+    for _ in range(_POLISH):
+        value = f.value(s)
+        low, high = jnp.where(value >= 0.0, s, low), jnp.where(value >= 0.0, high, s)
+        newton = s - _safe_divide(value, f.slope(s))
+        s = jnp.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+    return jnp.where(start <= 0.0, 0.0, s)
+
+
+def crossing(c: Cubic) -> tuple[Scalar, Scalar]:
+    """Whether c rises through zero on (0, 1], and where; the fraction is differentiable.
+
+    The derivative of the fraction is that of the implicit function c(s) = 0.
+    """
+    crosses = (c.c0 < 0.0) & (c.value(1.0) >= 0.0)
+    s = first_root(jax.lax.stop_gradient(c).scaled(-1.0), jnp.ones_like(c.c0), 0.0)
+    slope = jax.lax.stop_gradient(c.slope(s))
+    s = s - _safe_divide(c.value(s), slope)
+    return crosses, jnp.where(crosses, s, 1.0)
+
+
+# Gauss-Legendre with three points integrates polynomials up to degree 5 exactly: enough for a
+# cubic times a linear weight, and for the square of a cubic to O(h^6).
+_NODES = (0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5)
+_WEIGHTS = (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0)
+
+
+def integral(function: Any, a: Scalar, b: Scalar) -> Scalar:
+    """The integral of `function(s)` from a to b by three-point Gauss-Legendre quadrature."""
+    total = sum(w * function(a + n * (b - a)) for n, w in zip(_NODES, _WEIGHTS, strict=True))
+    return (b - a) * total

@@ -1,0 +1,263 @@
+"""The closed loop as ONE hybrid system: drive, law and scenario behind field, guards, outputs."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxsim.drive import AxisState, Drive
+from jaxsim.errors import InputError
+from jaxsim.hybrid import Deadzone, Surface, switch_all
+from jaxsim.law import Measured, Scalar, as_joint_law, share
+from jaxsim.parameters import all_valid
+from jaxsim.sampled import Sampled
+from jaxsim.scenario import Scenario
+
+UNITS = {
+    "theta_Lref": "rad",
+    "theta_L": "rad",
+    "omega_L": "rad/s",
+    "theta_B": "rad",
+    "omega_B": "rad/s",
+    "theta_M": "rad",
+    "omega_M": "rad/s",
+    "T_s": "Nm",
+    "T_M": "Nm",
+    "command": "Nm or V",
+    "d_L": "Nm",
+    "P_loss": "W",
+    "contact": "1",
+}
+
+
+class Outputs(NamedTuple):
+    """All signals of one axis; names and units in `UNITS`."""
+
+    theta_Lref: Scalar
+    theta_L: Scalar
+    omega_L: Scalar
+    theta_B: Scalar
+    omega_B: Scalar
+    theta_M: Scalar
+    omega_M: Scalar
+    T_s: Scalar
+    T_M: Scalar
+    command: Scalar
+    d_L: Scalar
+    P_loss: Scalar
+    contact: Scalar
+
+
+class State(NamedTuple):
+    """What is integrated: the drive's axes and, for a continuous law, the law's state."""
+
+    drive: tuple[AxisState, ...]
+    law: Any
+
+
+class _View(NamedTuple):
+    """What field and outputs look at: measurements, and switches per axis."""
+
+    ys: tuple[Measured, ...]
+    drive: Any
+    law: Any
+
+
+class When(NamedTuple):
+    """An instant t and any instant inside the present piece of the signals, s."""
+
+    t: Scalar
+    inside: Scalar
+
+
+class ClosedLoop(eqx.Module):
+    """Drive + law + scenario, seen by the engine as field, guards and outputs.
+
+    Modes are carried by the engine as a flat tuple of signs, one per guard, drive first.
+    """
+
+    drive: Drive
+    law: Any
+    scenario: Scenario
+    deadzone: Deadzone
+    dt: float = eqx.field(static=True)
+
+    def __init__(
+        self, drive: Drive, law: Any, scenario: Scenario, deadzone: Deadzone, dt: float
+    ) -> None:
+        self.drive = drive
+        self.law = as_joint_law(law, drive.axes)
+        self.scenario, self.deadzone, self.dt = scenario, deadzone, dt
+        if scenario.axes != drive.axes:
+            raise InputError(
+                "scenario", f"must have {drive.axes} axes, as the drive", scenario.axes,
+                "give one signal per axis",
+            )
+        if self.law.command_unit != drive.command_unit:
+            raise InputError(
+                "law", f"must command {drive.command_unit}, as the motor takes",
+                self.law.command_unit, "choose a law for this motor",
+            )
+        if self.sampled:
+            self.law.ticks(dt)
+
+    @property
+    def sampled(self) -> bool:
+        return isinstance(self.law, Sampled)
+
+    @property
+    def ratios(self) -> tuple[Scalar, ...]:
+        return tuple(t.ratio for t in self.drive.transmission)
+
+    def valid(self) -> Scalar:
+        """Whether every parameter obeys its rule; traceable, one value per batch member."""
+        return all_valid((self.drive, self.law, self.scenario))
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All surfaces whose modes the engine carries, drive first, then law."""
+        return tuple(s for group in self._groups for s in group)
+
+    @property
+    def _groups(self) -> list[tuple[Surface, ...]]:
+        """The surfaces by owner: transmissions, then (continuous) laws, axis by axis."""
+        groups = [t.surfaces for t in self.drive.transmission]
+        return groups if self.sampled else groups + list(self.law.surfaces)
+
+    def surface_names(self) -> tuple[str, ...]:
+        """Names of the surfaces, with the axis where there are several axes."""
+        axes = self.drive.axes
+        return tuple(
+            s.name if axes == 1 else f"{s.name}[{i % axes}]"
+            for i, group in enumerate(self._groups)
+            for s in group
+        )
+
+    def start(self) -> tuple[State, Any]:
+        """State and sampled-law state before anything has happened (references before t = 0)."""
+        drive = tuple(self._axis_start(i, s) for i, s in enumerate(self.scenario.start))
+        zero = jnp.zeros_like(drive[0].theta_L)
+        signs = tuple(tuple(zero for _ in t.surfaces) for t in self.drive.transmission)
+        signs = jax.tree.map(jnp.sign, self.drive.guards(drive, signs))
+        ys = self._measure(When(zero, zero - 1.0), drive, self._drive_switches(drive, signs))
+        if self.sampled:
+            return State(drive, ()), self.law.start(ys, self.dt)
+        return State(drive, self.law.rest(ys)), ()
+
+    def _axis_start(self, axis: int, start: Any) -> AxisState:
+        ratio = self.ratios[axis]
+        omega_M = ratio * (start.omega_L + start.omega_B)
+        values = [start.theta_L, start.omega_L, start.theta_B, omega_M]
+        extras = self.drive.motor[axis].rest(), self.drive.transmission[axis].rest()
+        dtype = jnp.asarray(start.theta_L).dtype
+        return AxisState(*jax.tree.map(lambda v: jnp.asarray(v, dtype), [*values, *extras]))
+
+    def _drive_switches(self, drive: tuple[AxisState, ...], modes: Any) -> Any:
+        surfaces = tuple(t.surfaces for t in self.drive.transmission)
+        return switch_all(self.deadzone, surfaces, self.drive.guards(drive, modes), modes)
+
+    def _measure(
+        self, when: When, drive: tuple[AxisState, ...], switches: Any
+    ) -> tuple[Measured, ...]:
+        torques = self.drive.joint_torques(drive, switches)
+        return tuple(
+            Measured(
+                reference=self.scenario.reference[i].value(*when),
+                theta_L=s.theta_L,
+                omega_L=s.omega_L,
+                theta_B=s.theta_B,
+                omega_B=self.drive.speed(i, s),
+                theta_M=self.ratios[i] * (s.theta_L + s.theta_B),
+                omega_M=s.omega_M,
+                T_s=torques[i],
+            )
+            for i, s in enumerate(drive)
+        )
+
+    def _look(self, when: When, x: State, modes: tuple[Scalar, ...]) -> _View:
+        """Measurements and switches at an instant, in the carried modes."""
+        shares = share(modes, self._groups)
+        axes = self.drive.axes
+        drive_switches = self._drive_switches(x.drive, shares[:axes])
+        ys = self._measure(when, x.drive, drive_switches)
+        if self.sampled:
+            return _View(ys, drive_switches, ())
+        guards = self.law.guards(x.law, ys)
+        law_switches = switch_all(self.deadzone, self.law.surfaces, guards, shares[axes:])
+        return _View(ys, drive_switches, law_switches)
+
+    def guards(self, when: When, x: State, modes: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        """Guard values of all `surfaces` at an instant."""
+        values = self.drive.guards(x.drive, share(modes, self._groups)[: self.drive.axes])
+        if not self.sampled:
+            ys = self._look(when, x, modes).ys
+            values += self.law.guards(x.law, ys)
+        return tuple(v for own in values for v in own)
+
+    def _commands(self, x: State, held: Any, ys: Any, law_switches: Any) -> tuple[Scalar, ...]:
+        return held.command if self.sampled else self.law.command(x.law, ys, law_switches)
+
+    def field(self, when: When, x: State, modes: tuple[Scalar, ...], held: Any) -> State:
+        """Rates of everything that is integrated, in the carried modes."""
+        ys, drive_switches, law_switches = self._look(when, x, modes)
+        commands = self._commands(x, held, ys, law_switches)
+        loads = tuple(d.value(*when) for d in self.scenario.load_torque)
+        rates = self.drive.field(x.drive, commands, loads, drive_switches)
+        law = () if self.sampled else self.law.field(x.law, ys, law_switches)
+        return State(rates, law)
+
+    def outputs(
+        self, when: When, x: State, modes: tuple[Scalar, ...], held: Any
+    ) -> tuple[Outputs, ...]:
+        """All signals, per axis."""
+        ys, drive_switches, law_switches = self._look(when, x, modes)
+        commands = self._commands(x, held, ys, law_switches)
+        return tuple(
+            self._axis_outputs(i, when, x.drive[i], y, commands[i], drive_switches[i])
+            for i, y in enumerate(ys)
+        )
+
+    def _axis_outputs(
+        self, axis: int, when: When, s: AxisState, y: Measured, command: Scalar, switches: Any
+    ) -> Outputs:
+        transmission = self.drive.transmission[axis]
+        return Outputs(
+            *y,
+            T_M=self.drive.motor[axis].torque(s.motor, command),
+            command=command,
+            d_L=self.scenario.load_torque[axis].value(*when),
+            P_loss=transmission.loss(s.theta_B, y.omega_B, s.transmission, switches),
+            contact=transmission.contact(switches),
+        )
+
+    def on_tick(
+        self, tick: Scalar, when: When, x: State, modes: tuple[Scalar, ...], held: Any
+    ) -> Any:
+        """The sampled law's turn at a tick; nothing for continuous laws."""
+        if not self.sampled:
+            return held
+        ys = self._look(when, x, modes).ys
+        return self.law.on_tick(tick, ys, held, self.ratios, self.dt)
+
+    def next_break(self, t: Scalar) -> Scalar:
+        """The next breakpoint of any signal after t, s."""
+        following = jnp.full_like(t, jnp.inf)
+        for signal in self.scenario.signals():
+            following = jnp.minimum(following, signal.next_break(t))
+        return following
+
+    @property
+    def breaks(self) -> int:
+        return sum(s.breaks for s in self.scenario.signals())
+
+
+def cast(tree: Any, dtype: Any) -> Any:
+    """All inexact leaves of a tree in one dtype."""
+    return jax.tree.map(
+        lambda v: jnp.asarray(v, dtype) if jnp.issubdtype(jnp.asarray(v).dtype, jnp.inexact) else v,
+        tree,
+    )
+

@@ -1,0 +1,81 @@
+"""Metrics are folds over the accepted pieces of a run: start, update, finish.
+
+They never see a stored trajectory, so a batch of thousands keeps none, and the same definitions
+serve tables, objectives, rewards and limits.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxsim.engine import Piece
+from jaxsim.errors import InputError
+from jaxsim.loop import ClosedLoop, When
+
+Scalar = Any
+
+
+class Task(NamedTuple):
+    """What was asked of one axis: the reference before and after, when it changes, how long."""
+
+    initial: Scalar
+    target: Scalar
+    onset: Scalar
+    duration: Scalar
+
+    @property
+    def direction(self) -> Scalar:
+        """+1 or -1 towards the target; 0 where the reference does not step."""
+        return jnp.sign(self.target - self.initial)
+
+
+class Metric(eqx.Module):
+    """A group of numbers computed together over one axis of a run.
+
+    `values` names them, each with its unit in the name; the last of each line of the class
+    docstring says what a run that never touches, settles or oscillates gives.
+    """
+
+    values: ClassVar[tuple[str, ...]]
+    task: Task
+
+    @abc.abstractmethod
+    def start(self) -> Any:
+        """The fold before the first piece: a tuple of arrays in the dtype of the task."""
+
+    @abc.abstractmethod
+    def update(self, fold: Any, piece: Piece) -> Any:
+        """The fold after one more accepted piece."""
+
+    @abc.abstractmethod
+    def finish(self, fold: Any) -> dict[str, Scalar]:
+        """The named numbers."""
+
+
+def task_of(loop: ClosedLoop, axis: int) -> Task:
+    """The task of one axis, read off its reference signal."""
+    reference = loop.scenario.reference[axis]
+    like = jnp.zeros_like(jnp.asarray(loop.scenario.start[axis].theta_L))
+    end = like + loop.scenario.duration
+    return Task(
+        initial=like + reference.value(*When(like, like - 1.0)),
+        target=like + reference.value(*When(end, end)),
+        onset=like + reference.onset(),
+        duration=end,
+    )
+
+
+def choose(known: dict[str, type[Metric]], names: tuple[str, ...]) -> tuple[type[Metric], ...]:
+    """The metric groups that hold the named numbers.
+
+    Raises: InputError for an unknown name, with the nearest ones.
+    """
+    owner = {value: group for group in known.values() for value in group.values}
+    for name in names:
+        if name not in owner:
+            raise InputError.unknown("metrics", name, owner)
+    return tuple(dict.fromkeys(owner[name] for name in names))

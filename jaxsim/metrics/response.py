@@ -1,0 +1,98 @@
+"""The step response: extremes, overshoot, rise and settling."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from jaxsim import hermite
+from jaxsim.engine import Piece
+from jaxsim.hermite import Cubic
+from jaxsim.metric import Metric, Scalar
+
+_BAND = 0.02  # settling band, share of the step
+_LEVELS = (0.1, 0.5, 0.9)
+
+
+class Response(Metric):
+    """theta_L against a reference that steps from `initial` to `target`, in either direction.
+
+    theta_max_rad, theta_min_rad: extremes of theta_L;
+    overshoot_rad, overshoot_pct: largest excursion beyond the target, 0 if it is never passed
+    (nan where the reference does not step);
+    rise_10_90_s, t50_s: first passage of 10 to 90 %, and of 50 % (absolute time), inf if never;
+    settle_2pct_s: from the step to the last entry into the 2 % band, inf if not inside at the end;
+    final_error_rad: target minus theta_L at the end.
+    """
+
+    values: ClassVar[tuple[str, ...]] = (
+        "theta_max_rad",
+        "theta_min_rad",
+        "overshoot_rad",
+        "overshoot_pct",
+        "rise_10_90_s",
+        "t50_s",
+        "settle_2pct_s",
+        "final_error_rad",
+    )
+
+    def start(self) -> Any:
+        never = jnp.zeros_like(self.task.target) + jnp.inf
+        zero = jnp.zeros_like(never)
+        return -never, never, (never,) * len(_LEVELS), zero + self.task.onset, zero
+
+    def update(self, fold: Any, piece: Piece) -> Any:
+        top, bottom, passages, settled, _ = fold
+        theta = piece.cubic("theta_L")
+        passages = tuple(
+            jnp.minimum(old, self._passage(theta, piece, level))
+            for old, level in zip(passages, _LEVELS, strict=True)
+        )
+        return (
+            jnp.maximum(top, hermite.largest(theta)),
+            jnp.minimum(bottom, hermite.smallest(theta)),
+            passages,
+            self._settled(theta, piece, settled),
+            piece.after.theta_L,
+        )
+
+    def _passage(self, theta: Cubic, piece: Piece, level: float) -> Scalar:
+        """The time at which theta_L passes a level of the step, inf if not in this piece."""
+        task = self.task
+        goal = task.initial + level * (task.target - task.initial)
+        passes, s = hermite.crossing(theta.shifted(-goal).scaled(task.direction))
+        return jnp.where(passes, piece.t + s * piece.h, jnp.inf)
+
+    def _settled(self, theta: Cubic, piece: Piece, settled: Scalar) -> Scalar:
+        """The time of the last entry into the band; inf while outside."""
+        band = _BAND * jnp.abs(self.task.target - self.task.initial)
+        error = theta.shifted(-self.task.target)
+        above, below = error.shifted(-band), error.scaled(-1.0).shifted(-band)
+        for outside in (above, below):
+            # An entry is the outside distance falling through zero: its negative rises.
+            enters, s = hermite.crossing(outside.scaled(-1.0))
+            settled = jnp.where(enters, piece.t + s * piece.h, settled)
+        after = jnp.abs(error.value(1.0)) > band
+        return jnp.where(after & (piece.t >= self.task.onset), jnp.inf, settled)
+
+    def finish(self, fold: Any) -> dict[str, Scalar]:
+        top, bottom, passages, settled, last = fold
+        task = self.task
+        size = jnp.abs(task.target - task.initial)
+        steps = size > 0.0
+        beyond = jnp.where(task.direction > 0.0, top - task.target, task.target - bottom)
+        overshoot = jnp.where(steps, jnp.maximum(beyond, 0.0), jnp.nan)
+        ten, fifty, ninety = passages
+        rise = jnp.where(jnp.isfinite(ninety), jnp.where(jnp.isfinite(ninety), ninety, 0.0) - ten,
+                         jnp.inf)
+        return {
+            "theta_max_rad": top,
+            "theta_min_rad": bottom,
+            "overshoot_rad": overshoot,
+            "overshoot_pct": 100.0 * overshoot / jnp.where(steps, size, 1.0),
+            "rise_10_90_s": jnp.where(steps, rise, jnp.nan),
+            "t50_s": jnp.where(steps, fifty, jnp.nan),
+            "settle_2pct_s": jnp.where(steps, settled - task.onset, jnp.nan),
+            "final_error_rad": task.target - last,
+        }

@@ -1,0 +1,61 @@
+"""Integrals of the control error."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from jaxsim import hermite
+from jaxsim.engine import Piece
+from jaxsim.metric import Metric, Scalar
+
+
+class Tracking(Metric):
+    """With e = target - theta_L from the onset of the reference to the end of the run:
+
+    iae_rad_s = int |e| dt;  itae_rad_s2 = int (t - onset)|e| dt;
+    error_rms_rad = sqrt(int e^2 dt/(duration - onset)).
+
+    The target is the FINAL reference, not the filtered one. The sign changes of e are located,
+    or gradients would be off by percents.
+    """
+
+    values: ClassVar[tuple[str, ...]] = ("iae_rad_s", "itae_rad_s2", "error_rms_rad")
+
+    def start(self) -> Any:
+        zero = jnp.zeros_like(self.task.target)
+        return zero, zero, zero
+
+    def update(self, fold: Any, piece: Piece) -> Any:
+        iae, itae, square = fold
+        error = piece.cubic("theta_L").shifted(-self.task.target).scaled(-1.0)
+        rising, s_up = hermite.crossing(error)
+        falling, s_down = hermite.crossing(error.scaled(-1.0))
+        cut = jnp.where(rising, s_up, jnp.where(falling, s_down, 1.0))
+        first = jnp.where(rising, -1.0, jnp.where(falling, 1.0, jnp.sign(error.value(0.5))))
+
+        def weighted(s: Scalar) -> Scalar:
+            return (piece.t + s * piece.h - self.task.onset) * error.value(s)
+
+        def absolute(function: Any) -> Scalar:
+            before = hermite.integral(function, 0.0, cut)
+            return piece.h * first * (before - hermite.integral(function, cut, 1.0))
+
+        counts = piece.t + 0.5 * piece.h >= self.task.onset
+        return (
+            iae + jnp.where(counts, absolute(error.value), 0.0),
+            itae + jnp.where(counts, absolute(weighted), 0.0),
+            square + jnp.where(
+                counts, piece.h * hermite.integral(lambda s: error.value(s) ** 2, 0.0, 1.0), 0.0
+            ),
+        )
+
+    def finish(self, fold: Any) -> dict[str, Scalar]:
+        iae, itae, square = fold
+        span = self.task.duration - self.task.onset
+        return {
+            "iae_rad_s": iae,
+            "itae_rad_s2": itae,
+            "error_rms_rad": jnp.sqrt(square / span),
+        }

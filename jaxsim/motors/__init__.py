@@ -1,0 +1,1 @@
+"""Motors: one file each, found by scanning this folder."""

@@ -1,0 +1,207 @@
+"""simulate(drive, law, scenario) -> Run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxsim import batch, engine
+from jaxsim.batch import Batch
+from jaxsim.catalog import METRICS
+from jaxsim.drive import Drive
+from jaxsim.errors import InputError
+from jaxsim.hybrid import Deadzone, Exact
+from jaxsim.loop import ClosedLoop, Outputs, When, cast
+from jaxsim.metric import Metric, choose, task_of
+from jaxsim.parameters import is_concrete, violations
+from jaxsim.run import Run
+from jaxsim.scenario import Scenario
+from jaxsim.status import Status
+
+
+class RunError(RuntimeError):
+    """A run did not complete; the message names the members and why, `run` holds the results."""
+
+    def __init__(self, message: str, run: Run) -> None:
+        super().__init__(message)
+        self.run = run
+
+
+class _Options(eqx.Module):
+    """All that is static in a run."""
+
+    ticks: int = eqx.field(static=True)
+    store: int | None = eqx.field(static=True)
+    groups: tuple[type[Metric], ...] = eqx.field(static=True)
+    names: tuple[str, ...] | None = eqx.field(static=True)
+    dt: float = eqx.field(static=True)
+    deadzone: Deadzone
+
+
+def simulate(
+    drive: Drive | Batch,
+    law: Any,
+    scenario: Scenario | Batch,
+    *,
+    dt: float = 2e-4,
+    deadzone: Deadzone | None = None,
+    metrics: tuple[str, ...] | None = None,
+    store: int | None = 1,
+    dtype: Any = None,
+    throw: bool = True,
+) -> Run:
+    """Run a drive under a law through a scenario.
+
+    drive, law, scenario: single, or `Batch` (then everything in the result has a leading axis).
+    dt: integration step, s; a sampled law's period must be a multiple of it. deadzone: `Exact()`
+    (default), `Smoothed(...)` or `Plain()`. metrics: names to compute, None for all, () for none.
+    store: keep the signals every so many ticks, None keeps no trajectory. dtype: float32 or
+    float64, default JAX's. throw: raise when a run does not complete (never inside jit).
+
+    Works under jit and vmap, and in forward and reverse mode with respect to every parameter.
+
+    Returns: `Run`. Raises: InputError for arguments that do not fit together, before anything
+    runs; RunError (with the results of the members that completed in it) after the run.
+    """
+    options = _options(scenario, dt, deadzone, metrics, store)
+    size = batch.size_of(drive, law, scenario)
+    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    trees = tuple(cast(t, dtype) for t in (drive, law, scenario))
+    single = [t[0] if isinstance(t, Batch) else t for t in trees]
+    loop = ClosedLoop(*single, options.deadzone, dt)
+    arrays = _run_batch(options, *trees) if size is not None else _run(options, *trees)
+    problems = _problems(arrays["status"], (drive, law, scenario))
+    run = Run(**arrays, surfaces=loop.surface_names(), problems=problems)
+    if throw and is_concrete(run.status):
+        _raise_failures(run)
+    return run
+
+
+def _options(
+    scenario: Any, dt: float, deadzone: Deadzone | None, metrics: tuple[str, ...] | None,
+    store: int | None,
+) -> _Options:
+    if not 0.0 < dt < 1.0:
+        raise InputError("dt", "must be > 0 s and < 1 s", dt, "e.g. 2e-4")
+    if store is not None and store < 1:
+        raise InputError("store", "must be >= 1 or None", store, "e.g. 1 for every tick")
+    duration = (scenario.members if isinstance(scenario, Batch) else scenario).duration
+    ticks = round(duration / dt)
+    if abs(ticks * dt - duration) > 1e-6 * dt:
+        raise InputError(
+            "dt", f"must divide the duration {duration:g} s", dt, f"e.g. {duration / ticks:.9g}"
+        )
+    known = METRICS.all()
+    names = tuple(v for group in known.values() for v in group.values)
+    groups = choose(known, names if metrics is None else tuple(metrics))
+    chosen = None if metrics is None else tuple(metrics)
+    return _Options(ticks, store, groups, chosen, dt, Exact() if deadzone is None else deadzone)
+
+
+@eqx.filter_jit
+def _run(options: _Options, drive: Drive, law: Any, scenario: Scenario) -> dict[str, Any]:
+    """One run, as a dictionary of arrays."""
+    loop = ClosedLoop(drive, law, scenario, options.deadzone, options.dt)
+    metrics = tuple(
+        tuple(group(task_of(loop, axis)) for group in options.groups)
+        for axis in range(drive.axes)
+    )
+    folds = tuple(tuple(m.start() for m in own) for own in metrics)
+    carry = engine.start(loop, folds if options.groups else ())
+    steps = engine.budget(loop, options.ticks)
+    stored = options.store is not None
+    last, marks = engine.advance(loop, carry, options.ticks, steps, metrics, stored)
+    arrays = _trajectory(loop, options, carry, marks) if marks is not None else _no_trajectory()
+    numbers = _metrics(options, metrics, last)
+    bad = last.status == Status.INVALID.value
+    numbers = {k: jnp.where(bad, jnp.nan, v) for k, v in numbers.items()}
+    return {**arrays, "metrics": numbers, "status": last.status, "event_count": last.events}
+
+
+@eqx.filter_jit
+def _run_batch(options: _Options, *trees: Any) -> dict[str, Any]:
+    return batch.map_members(lambda *single: _run(options, *single), *trees)
+
+
+def _metrics(options: _Options, metrics: Any, carry: engine.Carry) -> dict[str, Any]:
+    if not options.groups:
+        return {}
+    per_axis = []
+    for own, folds in zip(metrics, carry.folds, strict=True):
+        numbers: dict[str, Any] = {}
+        for metric, fold in zip(own, folds, strict=True):
+            numbers |= metric.finish(fold)
+        per_axis.append(numbers)
+    names = options.names if options.names is not None else tuple(per_axis[0])
+    if len(per_axis) == 1:
+        return {name: per_axis[0][name] for name in names}
+    return {name: jnp.stack([axis[name] for axis in per_axis]) for name in names}
+
+
+def _no_trajectory() -> dict[str, Any]:
+    none = jnp.zeros((0,))
+    codes = jnp.zeros((0,), jnp.int32)
+    return {
+        "time": none, "signals": {}, "event_times": none, "event_surfaces": codes,
+        "event_rates": none,
+    }
+
+
+def _trajectory(
+    loop: ClosedLoop, options: _Options, first: engine.Carry, marks: engine.Mark
+) -> dict[str, Any]:
+    """Signals at the ticks, out of the marks of all micro-steps; nan after a failure."""
+    wanted = np.arange(options.store, options.ticks + 1, options.store)  # type: ignore[arg-type]
+    reached = jnp.cumsum(marks.ticked)
+    where = jnp.searchsorted(reached, jnp.asarray(wanted))
+    known = where < reached.shape[0]
+    where = jnp.minimum(where, reached.shape[0] - 1)
+    zero = jnp.zeros_like(first.elapsed)
+    initial = loop.outputs(When(zero, zero), first.x, first.modes, first.held)
+
+    def column(start: Any, values: Any) -> Any:
+        picked = jnp.where(known, values[where], jnp.nan)
+        return jnp.concatenate([jnp.asarray(start)[None], picked])
+
+    axes = [
+        Outputs(*(column(s, v) for s, v in zip(begin, rest, strict=True)))
+        for begin, rest in zip(initial, marks.outputs, strict=True)
+    ]
+    signals = {
+        name: getattr(axes[0], name) if len(axes) == 1
+        else jnp.stack([getattr(a, name) for a in axes], axis=-1)
+        for name in Outputs._fields
+    }
+    time = jnp.concatenate([jnp.zeros(1), jnp.asarray(wanted) * loop.dt]).astype(zero.dtype)
+    return {
+        "time": time, "signals": signals, "event_times": marks.t,
+        "event_surfaces": marks.event, "event_rates": marks.rate,
+    }
+
+
+def _problems(status: Any, trees: tuple[Any, ...]) -> dict[int, str]:
+    """Which parameter of which member breaks its rule, in words; looked up only if any does."""
+    if not is_concrete(status):
+        return {}
+    bad = np.flatnonzero(np.atleast_1d(np.asarray(status)) == Status.INVALID.value)
+    found = {}
+    for i in bad.tolist():
+        single = tuple(t[i] if isinstance(t, Batch) else t for t in trees)
+        words = [v for tree in single for v in violations(tree)]
+        found[i] = "; ".join(words)
+    return found
+
+
+def _raise_failures(run: Run) -> None:
+    failures = run.failures()
+    if not failures:
+        return
+    listed = "; ".join(
+        (f"member {i}: {why}" if run.batched else why) for i, why in list(failures.items())[:5]
+    )
+    more = f" (and {len(failures) - 5} more)" if len(failures) > 5 else ""
+    raise RunError(f"{listed}{more}", run)

@@ -1,0 +1,24 @@
+"""How a run ended."""
+
+from __future__ import annotations
+
+import enum
+
+
+class Status(enum.IntEnum):
+    """Status of one run, one per batch member."""
+
+    OK = 0
+    EVENTS = 1
+    DIVERGED = 2
+    INVALID = 3
+
+    @property
+    def words(self) -> str:
+        """What it means and what to do about it."""
+        return {
+            Status.OK: "complete",
+            Status.EVENTS: "more events than there was room for: raise Exact(max_events=...)",
+            Status.DIVERGED: "the state became infinite: reduce dt or the gains",
+            Status.INVALID: "a parameter breaks its rule",
+        }[self]

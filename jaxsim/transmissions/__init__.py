@@ -1,0 +1,1 @@
+"""Transmissions: one file each, found by scanning this folder."""

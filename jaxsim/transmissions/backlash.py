@@ -1,0 +1,77 @@
+"""Deadzone and linear damping: the standard model of a gear with play."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxsim.drive import Scalar, Transmission
+from jaxsim.hybrid import Surface, Switch
+from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
+
+
+class Backlash(Transmission):
+    """T_s = 0 inside the gap, D_B omega_B + K (theta_B -+ half_gap) in contact; 2018 paper (5).
+
+    Contact includes the boundary |theta_B| = half_gap. T_s jumps by D_B omega_B when contact is
+    made, and may pull shortly before release, as (5) allows; `no_pull` releases at T_s = 0
+    instead. half_gap = 0 is a flexible joint without play.
+    """
+
+    K: Scalar = parameter("Nm/rad", "torsional rigidity", rule=POSITIVE)
+    half_gap: Scalar = parameter("rad", "HALF of the play, load side", rule=NON_NEGATIVE)
+    D_B: Scalar = parameter("Nm s/rad", "torsional damping", rule=NON_NEGATIVE, default=0.0)
+    N: Scalar = parameter("1", "ratio: motor angle over load angle", rule=POSITIVE, default=1.0)
+    no_pull: bool = eqx.field(static=True, default=False)
+
+    @property
+    def ratio(self) -> Scalar:
+        return self.N
+
+    def rest(self) -> Any:
+        return ()
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        contact = Surface("contact+", "rad"), Surface("contact-", "rad")
+        push = Surface("push+", "Nm"), Surface("push-", "Nm")
+        return contact + push if self.no_pull else contact
+
+    def guards(
+        self, theta_B: Scalar, omega_B: Scalar, extra: Any, modes: tuple[Scalar, ...]
+    ) -> tuple[Scalar, ...]:
+        plus, minus = theta_B - self.half_gap, -theta_B - self.half_gap
+        if not self.no_pull:
+            return plus, minus
+        push_plus = self.K * plus + self.D_B * omega_B
+        push_minus = self.K * minus - self.D_B * omega_B
+        return plus, minus, push_plus, push_minus
+
+    def torque(
+        self, theta_B: Scalar, omega_B: Scalar, extra: Any, switches: tuple[Switch, ...]
+    ) -> Scalar:
+        plus, minus = switches[:2]
+        push_plus, push_minus = (s.on for s in switches[2:]) if self.no_pull else (1.0, 1.0)
+        spring_plus = plus.on * (theta_B - self.half_gap)
+        spring_minus = minus.on * (theta_B + self.half_gap)
+        return push_plus * (self.K * spring_plus + plus.gate * self.D_B * omega_B) + push_minus * (
+            self.K * spring_minus + minus.gate * self.D_B * omega_B
+        )
+
+    def field(
+        self, theta_B: Scalar, omega_B: Scalar, extra: Any, switches: tuple[Switch, ...]
+    ) -> Any:
+        return ()
+
+    def loss(
+        self, theta_B: Scalar, omega_B: Scalar, extra: Any, switches: tuple[Switch, ...]
+    ) -> Scalar:
+        damped = switches[0].gate + switches[1].gate
+        if self.no_pull:
+            damped = switches[0].gate * switches[2].on + switches[1].gate * switches[3].on
+        return damped * self.D_B * omega_B * omega_B
+
+    def contact(self, switches: tuple[Switch, ...]) -> Scalar:
+        return jnp.asarray(switches[0].on - switches[1].on)

@@ -1,0 +1,90 @@
+"""Parameters of a component tree by name: find, read, replace."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+
+from jaxsim.errors import InputError
+from jaxsim.parameters import all_parameters
+
+
+def paths(tree: Any) -> list[str]:
+    """Dotted paths of all parameters, e.g. `transmission.half_gap` or `laws[1].K_B`."""
+    return [item.path.lstrip(".") for item in all_parameters(tree)]
+
+
+def resolve(tree: Any, name: str) -> str:
+    """The full path of a parameter given by its path or by an unambiguous tail of it.
+
+    Raises: InputError for an unknown name (with the nearest ones) or an ambiguous one.
+    """
+    known = paths(tree)
+    if name in known:
+        return name
+    hits = [p for p in known if p.endswith("." + name)]
+    if len(hits) == 1:
+        return hits[0]
+    if hits:
+        raise InputError(name, "must name one parameter", f"matches {hits}", "give the full path")
+    tails = {p.rsplit(".", 1)[-1] for p in known}
+    near = difflib.get_close_matches(name, sorted(tails | set(known)), n=3, cutoff=0.4)
+    raise InputError(
+        name,
+        "must name a parameter",
+        "no such parameter",
+        f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}",
+    )
+
+
+def get(tree: Any, name: str) -> Any:
+    """The value of a parameter."""
+    path = resolve(tree, name)
+    return next(i.value for i in all_parameters(tree) if i.path.lstrip(".") == path)
+
+
+def unit(tree: Any, name: str) -> str:
+    """The unit of a parameter."""
+    *parents, field = _steps(tree, resolve(tree, name))
+    owner = tree
+    for step in parents:
+        owner = _child(owner, step)
+    return next(f.metadata["unit"] for f in dataclasses.fields(owner) if f.name == field)
+
+
+def replace(tree: Any, values: Mapping[str, Any]) -> Any:
+    """A copy of the tree with the named parameters replaced; values may be traced or batched."""
+    for name, value in values.items():
+        tree = _replace_one(tree, _steps(tree, resolve(tree, name)), value)
+    return tree
+
+
+def _steps(tree: Any, path: str) -> list[str | int]:
+    """Attribute names and tuple indices from the root to the leaf."""
+    steps: list[str | int] = []
+    for part in path.split("."):
+        name, _, index = part.partition("[")
+        if name:
+            steps.append(name)
+        if index:
+            steps.append(int(index.rstrip("]")))
+    return steps
+
+
+def _child(owner: Any, step: str | int) -> Any:
+    if isinstance(owner, tuple) and isinstance(step, str):
+        owner = owner[0]  # paths leave out the index where there is only one axis
+    return owner[step] if isinstance(step, int) else getattr(owner, step)
+
+
+def _replace_one(tree: Any, steps: list[str | int], value: Any) -> Any:
+    def leaf(root: Any) -> Any:
+        for step in steps:
+            root = _child(root, step)
+        return root
+
+    return eqx.tree_at(leaf, tree, value)
