@@ -1,0 +1,1 @@
+"""Tuning of gains in batches, and identification from logs."""
