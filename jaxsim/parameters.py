@@ -22,15 +22,20 @@ class Rule(NamedTuple):
     fix: str
 
 
-ANY = Rule("must be finite", jnp.isfinite, "give a finite number")
+def _finite(value: Any) -> Any:
+    """NumPy's for numbers: jnp.isfinite would trace them where a component is built inside jit."""
+    return jnp.isfinite(value) if isinstance(value, jax.Array) else np.isfinite(value)
+
+
+ANY = Rule("must be finite", _finite, "give a finite number")
 POSITIVE = Rule(
     "must be > 0",
-    lambda v: jnp.isfinite(v) & (v > 0),
+    lambda v: _finite(v) & (v > 0),
     "give a positive number in SI units",
 )
 NON_NEGATIVE = Rule(
     "must be >= 0",
-    lambda v: jnp.isfinite(v) & (v >= 0),
+    lambda v: _finite(v) & (v >= 0),
     "give zero or a positive number in SI units",
 )
 
