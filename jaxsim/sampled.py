@@ -78,7 +78,9 @@ class Sampled(eqx.Module):
     Raises: InputError for a period <= 0 or a delay < 0.
     """
 
-    law: Any = eqx.field(converter=lambda v: Decentral((v,)) if isinstance(v, Law) else v)
+    law: Any = eqx.field(
+        converter=lambda v: Decentral((v,)) if isinstance(v, Law) else v, metadata={"base": Law}
+    )
     period: float = eqx.field(static=True)
     delay: float = eqx.field(static=True, default=0.0)
     sensors: Sensors = eqx.field(default_factory=TrueSpeeds)

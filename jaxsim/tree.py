@@ -53,6 +53,7 @@ def unit(tree: Any, name: str) -> str:
     owner = tree
     for step in parents:
         owner = _child(owner, step)
+    owner = owner[0] if isinstance(owner, tuple) else owner
     return next(f.metadata["unit"] for f in dataclasses.fields(owner) if f.name == field)
 
 

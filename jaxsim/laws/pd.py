@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,6 +22,13 @@ class PD(Law):
     K_P: Scalar = parameter("Nm/rad", "proportional gain", rule=NON_NEGATIVE)
     K_D: Scalar = parameter("Nm s/rad", "derivative gain", rule=NON_NEGATIVE)
     tau_D: Scalar = parameter("s", "time constant of the derivative filter", rule=POSITIVE)
+
+    design_units: ClassVar[dict[str, str]] = {"omega_1": "rad/s", "omega_2": "rad/s", "zeta": "1"}
+
+    @classmethod
+    def design(cls, drive: Drive, omega_1: float, omega_2: float, zeta: float) -> PD:
+        """For files: `design = { omega_1 = ..., ... }`; see `place_poles`."""
+        return place_poles(drive, omega_1, omega_2, zeta)
 
     def rest(self, y: Measured) -> Any:
         return (y.reference - y.theta_L,)

@@ -9,7 +9,14 @@ import jax.numpy as jnp
 
 from jaxsim.drive import Scalar, Transmission
 from jaxsim.hybrid import Surface, Switch
-from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
+from jaxsim.parameters import NON_NEGATIVE, POSITIVE, Rule, parameter
+
+# 0.35 rad is 20 degrees to either side: what is larger was given in mrad or degrees.
+HALF_GAP = Rule(
+    "must be >= 0 and < 0.35 rad",
+    lambda v: (v >= 0) & (v < 0.35),
+    "give HALF of the play, in load-side rad (0.45 deg is 7.85e-3)",
+)
 
 
 class Backlash(Transmission):
@@ -21,7 +28,7 @@ class Backlash(Transmission):
     """
 
     K: Scalar = parameter("Nm/rad", "torsional rigidity", rule=POSITIVE)
-    half_gap: Scalar = parameter("rad", "HALF of the play, load side", rule=NON_NEGATIVE)
+    half_gap: Scalar = parameter("rad", "HALF of the play, load side", rule=HALF_GAP)
     D_B: Scalar = parameter("Nm s/rad", "torsional damping", rule=NON_NEGATIVE, default=0.0)
     N: Scalar = parameter("1", "ratio: motor angle over load angle", rule=POSITIVE, default=1.0)
     no_pull: bool = eqx.field(static=True, default=False)

@@ -1,0 +1,119 @@
+"""What is wanted of a law: metrics to make small, and limits that must hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from pydantic import BaseModel, ConfigDict, Field
+
+from jaxsim.catalog import METRICS
+from jaxsim.errors import InputError
+from jaxsim.validation import check
+
+Over = str | float  # "mean", "worst", or a quantile between 0 and 1
+
+
+class Goal(NamedTuple):
+    """weight * metric/scale, taken over all drives and scenarios by `over`."""
+
+    metric: str
+    weight: float
+    over: Over
+
+
+class Limit(NamedTuple):
+    """metric <= most for every drive and scenario (the worst case), or for a quantile of them."""
+
+    metric: str
+    most: float
+    over: Over
+
+
+class Objective(NamedTuple):
+    """Goals to minimise (their weighted sum) and limits to keep."""
+
+    goals: tuple[Goal, ...]
+    limits: tuple[Limit, ...]
+
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics that it needs, each once."""
+        return tuple(dict.fromkeys(item.metric for item in (*self.goals, *self.limits)))
+
+
+class _Goal(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    weight: float = Field(gt=0, allow_inf_nan=False, default=1.0)
+    over: Over = "mean"
+
+
+class _Limit(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    most: float = Field(allow_inf_nan=False)
+    over: Over = "worst"
+
+
+def read_objective(table: Mapping[str, Any], where: str = "objective") -> Objective:
+    """The objective that a table describes.
+
+    `minimise = { METRIC = WEIGHT or { weight, over } }`, `limits = { METRIC = MOST or
+    { most, over } }` with over = "mean", "worst" or a quantile such as 0.95. Defaults: the mean
+    for goals, the worst case for limits.
+
+    Raises: InputError for unknown keys and metrics, or where nothing is to be minimised.
+    """
+    for key in table:
+        if key not in ("minimise", "limits"):
+            raise InputError.unknown(f"{where}.{key}", key, ("minimise", "limits"))
+    goals = [
+        Goal(name, item.weight, _over(item.over, f"{where}.minimise.{name}"))
+        for name, item in _items(table, "minimise", _Goal, "weight", where)
+    ]
+    limits = [
+        Limit(name, item.most, _over(item.over, f"{where}.limits.{name}"))
+        for name, item in _items(table, "limits", _Limit, "most", where)
+    ]
+    if not goals:
+        raise InputError(
+            f"{where}.minimise", "must name at least one metric", "none", "e.g. itae_rad_s2 = 1.0"
+        )
+    return Objective(tuple(goals), tuple(limits))
+
+
+def _items(
+    table: Mapping[str, Any], key: str, model: type[BaseModel], main: str, where: str
+) -> list[tuple[str, Any]]:
+    given = table.get(key, {})
+    if not isinstance(given, Mapping):
+        raise InputError(f"{where}.{key}", "must be a table", repr(given), "e.g. METRIC = 1.0")
+    known = [v for group in METRICS.all().values() for v in group.values]
+    items = []
+    for name, value in given.items():
+        if name not in known:
+            raise InputError.unknown(f"{where}.{key}.{name}", name, known)
+        wanted = value if isinstance(value, Mapping) else {main: value}
+        items.append((name, check(model, wanted, f"{where}.{key}.{name}")))
+    return items
+
+
+def _over(over: Over, where: str) -> Over:
+    words = over in ("mean", "worst")
+    quantile = not isinstance(over, str) and 0.0 < over < 1.0
+    if not (words or quantile):
+        raise InputError(
+            f"{where}.over",
+            'must be "mean", "worst" or a quantile in (0, 1)',
+            repr(over),
+            'e.g. "worst"',
+        )
+    return over
+
+
+def reduce(values: Any, over: Over) -> Any:
+    """The mean, maximum or quantile of values (members,) of a metric."""
+    if over == "mean":
+        return jnp.mean(values)
+    if over == "worst":
+        return jnp.max(values)
+    return jnp.quantile(values, over)  # type: ignore[arg-type]

@@ -1,0 +1,88 @@
+"""The one look of all plots. Figures are made without pyplot, so nothing global changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+# Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
+COLOURS = {
+    "none": "#0072B2",
+    "linear": "#D55E00",
+    "switched": "#009E73",
+    "before": "#7F7F7F",
+    "after": "#0072B2",
+    "limit": "#CC79A7",
+    "reference": "#000000",
+}
+CYCLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE = {
+    "figure.dpi": 110,
+    "figure.constrained_layout.use": True,
+    "savefig.dpi": 150,
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.labelsize": 9.5,
+    "axes.grid": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#E5E5E5",
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.4,
+}
+LABELS = {
+    "theta_Lref": "reference [rad]",
+    "theta_L": "load angle [rad]",
+    "omega_L": "load speed [rad/s]",
+    "theta_B": "deflection [rad]",
+    "omega_B": "deflection speed [rad/s]",
+    "theta_M": "motor angle [rad]",
+    "omega_M": "motor speed [rad/s]",
+    "T_s": "joint torque [Nm]",
+    "T_M": "motor torque [Nm]",
+    "d_L": "load torque [Nm]",
+}
+
+
+@contextmanager
+def figure(path: Path, rows: int = 1, columns: int = 1, **options: Any) -> Iterator[Any]:
+    """Axes (rows, columns) to draw on; saved to `path` at the end.
+
+    options: of `Figure.subplots`, and `size` = (width, height) in inches.
+    """
+    import matplotlib
+    from cycler import cycler
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    size = options.pop("size", (4.8 * columns + 1.2, 2.3 * rows + 0.8))
+    look: Any = {**STYLE, "axes.prop_cycle": cycler(color=CYCLE)}
+    with matplotlib.rc_context(look):
+        made = Figure(figsize=size)
+        FigureCanvasAgg(made)
+        yield made.subplots(rows, columns, **options)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        made.savefig(path)
+
+
+def responses(path: Path, runs: Mapping[str, Any], names: tuple[str, ...], title: str) -> None:
+    """Signals of stored one-axis runs over time, one row per signal and one line per run."""
+    with figure(
+        path, len(names), sharex=True, squeeze=False, size=(8.0, 2.1 * len(names) + 0.6)
+    ) as axes:
+        for ax, name in zip(axes[:, 0], names, strict=True):
+            for label, run in runs.items():
+                colour = COLOURS.get(label)
+                ax.plot(1e3 * np.asarray(run.time), run.signals[name], label=label, color=colour)
+            ax.set_ylabel(LABELS.get(name, name))
+        axes[0, 0].set_title(title)
+        axes[0, 0].legend(ncols=len(runs))
+        axes[-1, 0].set_xlabel("time [ms]")

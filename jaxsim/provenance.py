@@ -1,0 +1,65 @@
+"""Where a result comes from: versions, machine, seed, precision and the command that made it."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+_PACKAGES = ("gearlash", "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy")
+
+
+def provenance(*, seed: int | None = None, dtype: str = "float64") -> dict[str, Any]:
+    """What a result file carries besides the result."""
+    versions = {name: importlib.metadata.version(name) for name in _PACKAGES}
+    return {
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "dtype": dtype,
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "python": platform.python_version(),
+        **({} if seed is None else {"seed": seed}),
+        "versions": versions,
+    }
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Numbers, lists and tables as indented JSON; nan and inf as null, which JSON has."""
+    text = json.dumps(_plain(content), indent=1, allow_nan=False)
+    _replace(path, text + "\n")
+
+
+def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:
+    """Tables as TOML, below a comment."""
+    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    _replace(path, head + tomli_w.dumps(content))
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write beside and rename: an interrupt never leaves half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(path.name + ".part")
+    beside.write_text(text, "utf-8")
+    beside.replace(path)
+
+
+def _plain(content: Any) -> Any:
+    if isinstance(content, Mapping):
+        return {str(k): _plain(v) for k, v in content.items()}
+    if isinstance(content, str | bool | int) or content is None:
+        return content
+    if isinstance(content, float | np.floating):
+        return float(content) if np.isfinite(content) else None
+    if isinstance(content, list | tuple):
+        return [_plain(v) for v in content]
+    return _plain(np.asarray(content).tolist())

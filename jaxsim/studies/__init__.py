@@ -1,0 +1,1 @@
+"""Studies that come with the project: one TOML file each."""

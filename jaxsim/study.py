@@ -1,0 +1,212 @@
+"""A study: drive, law, scenario, run options and objective, described by one TOML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from jaxsim.catalog import DRIVES
+from jaxsim.components import build, override, read_toml
+from jaxsim.drive import Drive
+from jaxsim.errors import InputError
+from jaxsim.hybrid import Deadzone, Exact, Plain, Smoothed
+from jaxsim.law import Law, as_joint_law
+from jaxsim.loop import ClosedLoop
+from jaxsim.objective import Objective, read_objective
+from jaxsim.quantity import to_si
+from jaxsim.scenario import Scenario, Start
+from jaxsim.signal import Signal
+from jaxsim.validation import check
+
+SHIPPED = "jaxsim.studies"
+# `tune` and what other packages add are read by their owners; `law` may also be given elsewhere.
+_OWN = ("name", "about", "drive", "law", "scenario", "run", "objective")
+_GUESTS = ("tune",)
+
+
+class RunOptions(NamedTuple):
+    """How a study is simulated: integration step in s, deadzone mode, and 32 or 64 bits."""
+
+    dt: float
+    deadzone: Deadzone
+    precision: int
+
+    @property
+    def dtype(self) -> str:
+        return f"float{self.precision}"
+
+
+class Study(NamedTuple):
+    """One study. `table` is the file as it was read, `folder` where its relative paths start."""
+
+    name: str
+    drive: Drive
+    law: Any
+    scenario: Scenario
+    run: RunOptions
+    objective: Objective | None
+    table: dict[str, Any]
+    folder: Path
+
+    def section(self, name: str) -> dict[str, Any]:
+        """A section that another package reads, e.g. `tune`; empty if the file has none."""
+        return self.table.get(name, {})
+
+
+class _Run(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    dt: float | str = 2e-4
+    deadzone: Literal["exact", "plain", "smoothed"] = "exact"
+    max_events: int | None = Field(ge=0, default=None)
+    width: float | str = 1e-3
+    speed_width: float | str = 0.5
+    precision: Literal[32, 64] = 64
+
+
+def shipped() -> list[str]:
+    """Names of the studies that come with the project."""
+    files = resources.files(SHIPPED).iterdir()
+    return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
+
+
+def locate(name: str, folder: Path | None = None) -> Path:
+    """The file of a study: a path (relative to `folder`), or the name of a shipped one.
+
+    Raises: InputError where there is neither, with the nearest shipped names.
+    """
+    path = (folder or Path()) / name
+    if path.is_file():
+        return path
+    if name in shipped():
+        return Path(str(resources.files(SHIPPED) / f"{name}.toml"))
+    if name.endswith(".toml"):
+        raise InputError("study", "must be a file or a shipped study", name, "check the path")
+    raise InputError.unknown("study", name, shipped())
+
+
+def load(name: str, *, law: str | None = None) -> Study:
+    """The study in a file, or a shipped one by name; `law` takes its law from another file.
+
+    Raises: InputError naming file, key, rule, value and fix.
+    """
+    path = locate(name)
+    table = read_toml(path)
+    if law is not None:
+        table["law"] = {"file": str(Path(law).absolute()) if Path(law).is_file() else law}
+    try:
+        return from_table(table, path.parent, path.stem)
+    except InputError as error:
+        field = f"{path.name}: {error.field}"
+        raise InputError(field, error.rule, error.value, error.fix) from None
+
+
+def from_table(table: dict[str, Any], folder: Path, name: str) -> Study:
+    """The study that nested tables describe; relative paths in it start at `folder`."""
+    for key in table:
+        if key not in (*_OWN, *_GUESTS):
+            raise InputError.unknown(key, key, (*_OWN, *_GUESTS))
+    drive = _drive(_need(table, "drive"), folder)
+    law = _law(_need(table, "law"), folder, drive)
+    scenario = _scenario(table.get("scenario", {}), drive)
+    run = _run(table.get("run", {}))
+    ClosedLoop(drive, law, scenario, run.deadzone, run.dt)  # do the parts fit together?
+    wanted = table.get("objective")
+    objective = None if wanted is None else read_objective(wanted)
+    title = table.get("name", name)
+    return Study(title, drive, law, scenario, run, objective, table, folder)
+
+
+def _need(table: Mapping[str, Any], key: str) -> Any:
+    if key not in table:
+        raise InputError(key, "must be given", "no such section", f"add [{key}]")
+    return table[key]
+
+
+def _drive(given: Any, folder: Path) -> Drive:
+    """`preset = NAME`, `file = PATH` or motor, transmission and load, with values to override."""
+    if not isinstance(given, Mapping):
+        raise InputError("drive", "must be a table", repr(given), 'e.g. preset = "bench_2018"')
+    rest = dict(given)
+    if "preset" in rest:
+        name = _text(rest.pop("preset"), "drive.preset")
+        if ":" not in name and name not in DRIVES.names():
+            raise InputError.unknown("drive.preset", name, DRIVES.names())
+        drive = DRIVES.find(name)()
+        return override(drive, rest, "drive")
+    if "file" in rest:
+        other = _other(rest.pop("file"), "drive", folder)
+        return override(_drive(*other), rest, "drive")
+    return build(Drive, rest, "drive")
+
+
+def _law(given: Any, folder: Path, drive: Drive) -> Any:
+    """`file = STUDY` (a path or a shipped name) with values to override, or a law in full."""
+    if isinstance(given, Mapping) and "file" in given:
+        rest = dict(given)
+        table, place = _other(rest.pop("file"), "law", folder)
+        return override(_law(table, place, drive), rest, "law")
+    return as_joint_law(build(Law, given, "law", drive), drive.axes)
+
+
+def _other(name: Any, section: str, folder: Path) -> tuple[Any, Path]:
+    """A section of another file, and that file's folder."""
+    path = locate(_text(name, f"{section}.file"), folder)
+    return _need(read_toml(path), section), path.parent
+
+
+def _text(value: Any, where: str) -> str:
+    if not isinstance(value, str):
+        raise InputError(where, "must be text", repr(value), "put the name in quotes")
+    return value
+
+
+def _scenario(given: Any, drive: Drive) -> Scenario:
+    known = ("reference", "load_torque", "start", "duration")
+    if not isinstance(given, Mapping):
+        raise InputError("scenario", "must be a table", repr(given), "write [scenario]")
+    for key in given:
+        if key not in known:
+            raise InputError.unknown(f"scenario.{key}", key, known)
+    parts: dict[str, Any] = {}
+    for key, base in (("reference", Signal), ("load_torque", Signal), ("start", Start)):
+        if key in given:
+            parts[key] = _per_axis(base, given[key], f"scenario.{key}", drive.axes)
+        elif drive.axes > 1:
+            parts[key] = _per_axis(base, [_nothing(base)] * drive.axes, key, drive.axes)
+    if "duration" in given:
+        parts["duration"] = float(to_si(given["duration"], "s", "scenario.duration"))
+    return Scenario(**parts)
+
+
+def _nothing(base: type) -> dict[str, Any]:
+    return {"type": "constant"} if base is Signal else {}
+
+
+def _per_axis(base: type, given: Any, where: str, axes: int) -> Any:
+    """For several axes a list with one entry per axis; an entry may itself be a sum."""
+    if axes == 1:
+        return build(base, given, where)
+    if not isinstance(given, list) or len(given) != axes:
+        raise InputError(where, f"must be a list of {axes}, one per axis", given, "add entries")
+    return tuple(build(base, item, f"{where}[{i}]") for i, item in enumerate(given))
+
+
+def _run(given: Any) -> RunOptions:
+    options = check(_Run, given, "run")
+    dt = float(to_si(options.dt, "s", "run.dt"))
+    if not 0.0 < dt < 1.0:
+        raise InputError("run.dt", "must be > 0 s and < 1 s", dt, "e.g. 2e-4")
+    return RunOptions(dt, _deadzone(options), options.precision)
+
+
+def _deadzone(options: _Run) -> Deadzone:
+    if options.deadzone == "exact":
+        return Exact(options.max_events)
+    if options.deadzone == "plain":
+        return Plain()
+    width = to_si(options.width, "rad", "run.width")
+    return Smoothed(width, to_si(options.speed_width, "rad/s", "run.speed_width"))
