@@ -43,8 +43,8 @@ class Transmission(Parameters):
         """N: motor angle over load angle."""
 
     @abc.abstractmethod
-    def rest(self) -> Any:
-        """Its own state at rest: a tuple of floats (empty if none)."""
+    def rest(self, theta_B: Scalar) -> Any:
+        """Its own state at rest at a deflection: a tuple of scalars (empty if none)."""
 
     @property
     @abc.abstractmethod
@@ -55,7 +55,11 @@ class Transmission(Parameters):
     def guards(
         self, theta_B: Scalar, omega_B: Scalar, extra: Any, modes: tuple[Scalar, ...]
     ) -> tuple[Scalar, ...]:
-        """Guard values of its surfaces; `modes` are the carried signs, for those that depend."""
+        """Guard values of its surfaces; `modes` are the carried signs, for those that depend.
+
+        A mode 0 is not known yet (at the start) or not carried (without location): the value
+        must then tell the sign by itself.
+        """
 
     @abc.abstractmethod
     def torque(

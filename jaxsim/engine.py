@@ -98,7 +98,8 @@ def start(loop: ClosedLoop, folds: Any) -> Carry:
     modes = tuple(zero for _ in loop.surfaces)
     when = When(zero, zero)
     # Twice: surfaces that depend on the mode are read again in the modes of the first reading.
-    for _ in range(2):
+    # Without location no mode is carried: they stay 0.
+    for _ in range(2 if loop.deadzone.located else 0):
         modes = _settled(loop, when, x, modes, held)
     count = jnp.zeros((), jnp.int32)
     held = loop.on_tick(count, when, x, modes, held)

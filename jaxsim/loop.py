@@ -151,7 +151,8 @@ class ClosedLoop(eqx.Module):
         ratio = self.ratios[axis]
         omega_M = ratio * (start.omega_L + start.omega_B)
         values = [start.theta_L, start.omega_L, start.theta_B, omega_M]
-        extras = self.drive.motor[axis].rest(), self.drive.transmission[axis].rest()
+        transmission = self.drive.transmission[axis].rest(start.theta_B)
+        extras = self.drive.motor[axis].rest(), transmission
         dtype = jnp.asarray(start.theta_L).dtype
         return AxisState(*jax.tree.map(lambda v: jnp.asarray(v, dtype), [*values, *extras]))
 

@@ -37,7 +37,7 @@ class Backlash(Transmission):
     def ratio(self) -> Scalar:
         return self.N
 
-    def rest(self) -> Any:
+    def rest(self, theta_B: Scalar) -> Any:
         return ()
 
     @property
