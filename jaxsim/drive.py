@@ -6,12 +6,21 @@ import abc
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Surface, Switch
 from jaxsim.parameters import Parameters
 
 Scalar = Any
+
+
+class Shaft(NamedTuple):
+    """What a motor feels at its shaft: angle rad, speed rad/s, torque T_s/N of the gear Nm."""
+
+    theta_M: Scalar
+    omega_M: Scalar
+    torque: Scalar
 
 
 class Motor(Parameters):
@@ -23,15 +32,26 @@ class Motor(Parameters):
     def rest(self) -> Any:
         """Its own state besides the speed, at rest: a tuple of floats (empty if none)."""
 
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """Its switching surfaces: friction that sticks, a supply that saturates."""
+        return ()
+
+    def guards(
+        self, shaft: Shaft, extra: Any, command: Scalar, modes: tuple[Scalar, ...]
+    ) -> tuple[Scalar, ...]:
+        """Guard values of its surfaces; `modes` are the carried signs, 0 where none are carried."""
+        return ()
+
     @abc.abstractmethod
     def torque(self, extra: Any, command: Scalar) -> Scalar:
         """The air-gap torque T_M, Nm."""
 
     @abc.abstractmethod
     def field(
-        self, omega_M: Scalar, extra: Any, command: Scalar, load_torque: Scalar
+        self, shaft: Shaft, extra: Any, command: Scalar, switches: tuple[Switch, ...]
     ) -> tuple[Scalar, Any]:
-        """d omega_M/dt in rad/s^2 and the rates of its own state; load_torque at its shaft."""
+        """d omega_M/dt in rad/s^2 and the rates of its own state."""
 
 
 class Transmission(Parameters):
@@ -93,7 +113,14 @@ class Load(Parameters):
     def acceleration(
         self, theta_L: tuple[Scalar, ...], omega_L: tuple[Scalar, ...], torque: tuple[Scalar, ...]
     ) -> tuple[Scalar, ...]:
-        """d omega_L/dt per axis, rad/s^2, under the torques of transmissions and disturbances."""
+        """d omega_L/dt per axis, rad/s^2, under the torques of transmissions and disturbances.
+
+        NaN where the mass matrix is not positive definite: the run stops there.
+        """
+
+    def definite(self, theta_L: tuple[Scalar, ...]) -> Scalar:
+        """Whether the mass matrix is positive definite at these angles; asked after a failure."""
+        return jnp.asarray(True)
 
 
 class AxisState(NamedTuple):
@@ -169,12 +196,37 @@ class Drive(eqx.Module):
             for i, s in enumerate(state)
         )
 
+    def shafts(
+        self, state: tuple[AxisState, ...], torques: tuple[Scalar, ...]
+    ) -> tuple[Shaft, ...]:
+        """What the motors feel under the joint torques T_s, per axis."""
+        ratios = (t.ratio for t in self.transmission)
+        return tuple(
+            Shaft(N * (s.theta_L + s.theta_B), s.omega_M, T_s / N)
+            for N, s, T_s in zip(ratios, state, torques, strict=True)
+        )
+
+    def motor_guards(
+        self,
+        state: tuple[AxisState, ...],
+        torques: tuple[Scalar, ...],
+        command: tuple[Scalar, ...],
+        modes: tuple[tuple[Scalar, ...], ...],
+    ) -> tuple[tuple[Scalar, ...], ...]:
+        """Guard values of the motors, per axis."""
+        shafts = self.shafts(state, torques)
+        return tuple(
+            self.motor[i].guards(shafts[i], s.motor, command[i], modes[i])
+            for i, s in enumerate(state)
+        )
+
     def field(
         self,
         state: tuple[AxisState, ...],
         command: tuple[Scalar, ...],
         load_torque: tuple[Scalar, ...],
         switches: tuple[tuple[Switch, ...], ...],
+        motor_switches: tuple[tuple[Switch, ...], ...],
     ) -> tuple[AxisState, ...]:
         """Rates of the state under commands (Nm or V) and load torques d_L (Nm)."""
         torques = self.joint_torques(state, switches)
@@ -183,23 +235,15 @@ class Drive(eqx.Module):
             tuple(s.omega_L for s in state),
             tuple(T_s + d_L for T_s, d_L in zip(torques, load_torque, strict=True)),
         )
-        return tuple(
-            self._axis_field(i, s, command[i], torques[i], accelerations[i], switches[i])
-            for i, s in enumerate(state)
-        )
-
-    def _axis_field(
-        self,
-        axis: int,
-        s: AxisState,
-        command: Scalar,
-        torque: Scalar,
-        acceleration: Scalar,
-        switches: tuple[Switch, ...],
-    ) -> AxisState:
-        transmission, omega_B = self.transmission[axis], self.speed(axis, s)
-        domega_M, dmotor = self.motor[axis].field(
-            s.omega_M, s.motor, command, torque / transmission.ratio
-        )
-        dtransmission = transmission.field(s.theta_B, omega_B, s.transmission, switches)
-        return AxisState(s.omega_L, acceleration, omega_B, domega_M, dmotor, dtransmission)
+        shafts = self.shafts(state, torques)
+        rates = []
+        for i, s in enumerate(state):
+            transmission, omega_B = self.transmission[i], self.speed(i, s)
+            domega_M, dmotor = self.motor[i].field(
+                shafts[i], s.motor, command[i], motor_switches[i]
+            )
+            dtransmission = transmission.field(s.theta_B, omega_B, s.transmission, switches[i])
+            rates.append(
+                AxisState(s.omega_L, accelerations[i], omega_B, domega_M, dmotor, dtransmission)
+            )
+        return tuple(rates)

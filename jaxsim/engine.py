@@ -124,10 +124,22 @@ def advance(
 
     carry, marks = jax.lax.scan(jax.checkpoint(chunk), carry, None, length=chunks)
     late = (carry.status == Status.OK.value) & (carry.tick < until)
-    carry = carry._replace(status=jnp.where(late, Status.EVENTS.value, carry.status))
+    carry = carry._replace(status=jnp.where(late, Status.EVENTS.value, _cause(loop, carry)))
     if stored:
         marks = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), marks)
     return carry, marks
+
+
+def _cause(loop: ClosedLoop, c: Carry) -> Scalar:
+    """The status, with a mass matrix that is not positive definite told from other divergence.
+
+    Asked once, of the last state that was accepted, so that it costs the steps nothing.
+    """
+    t = c.tick.astype(c.elapsed.dtype) * loop.dt + c.elapsed
+    rest = loop.dt - c.elapsed
+    rates = loop.field(When(t, t + 0.5 * rest), c.x, c.modes, c.held)
+    singular = (c.status == Status.DIVERGED.value) & ~loop.definite(c.x, rates, rest)
+    return jnp.where(singular, Status.SINGULAR.value, c.status)
 
 
 def _settled(
@@ -137,7 +149,7 @@ def _settled(
     if not modes:
         return modes
     rates = loop.field(when, x, modes, held)
-    values, slopes = _guards_and_rates(loop, when, x, modes, rates)
+    values, slopes = _guards_and_rates(loop, when, x, modes, held, rates)
     settled = []
     for surface, mode, g, rate in zip(loop.surfaces, modes, values, slopes, strict=True):
         clear = jnp.abs(g) > surface.tolerance(g.dtype)
@@ -152,9 +164,9 @@ def _along(when: When, rates: State) -> tuple[When, State]:
 
 
 def _guards_and_rates(
-    loop: ClosedLoop, when: When, x: State, modes: tuple[Scalar, ...], rates: State
+    loop: ClosedLoop, when: When, x: State, modes: tuple[Scalar, ...], held: Any, rates: State
 ) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    return jax.jvp(lambda w, s: loop.guards(w, s, modes), (when, x), _along(when, rates))
+    return jax.jvp(lambda w, s: loop.guards(w, s, modes, held), (when, x), _along(when, rates))
 
 
 def _outputs_and_rates(
@@ -273,8 +285,8 @@ def _micro_step(
     exit_ = _Exit(jnp.asarray(False), jnp.asarray(-1, jnp.int32), jnp.ones_like(h))
     slopes: tuple[Scalar, ...] = ()
     if loop.deadzone.located and modes:
-        before = _guards_and_rates(loop, when, c.x, modes, rates)
-        values, slopes = _guards_and_rates(loop, end, x, modes, end_rates)
+        before = _guards_and_rates(loop, when, c.x, modes, c.held, rates)
+        values, slopes = _guards_and_rates(loop, end, x, modes, c.held, end_rates)
         landing = _landing(c, values, slopes, h, rest, dt)
         cubics = [
             hermite.cubic(g0, r0, g1, r1, h)

@@ -59,10 +59,12 @@ class State(NamedTuple):
 
 
 class _View(NamedTuple):
-    """What field and outputs look at: measurements, and switches per axis."""
+    """What field and outputs look at: measurements, commands, and switches per axis."""
 
     ys: tuple[Measured, ...]
-    drive: Any
+    commands: tuple[Scalar, ...]
+    transmission: Any
+    motor: Any
     law: Any
 
 
@@ -123,8 +125,8 @@ class ClosedLoop(eqx.Module):
 
     @property
     def _groups(self) -> list[tuple[Surface, ...]]:
-        """The surfaces by owner: transmissions, then (continuous) laws, axis by axis."""
-        groups = [t.surfaces for t in self.drive.transmission]
+        """The surfaces by owner: transmissions, motors, then (continuous) laws, axis by axis."""
+        groups = [part.surfaces for part in (*self.drive.transmission, *self.drive.motor)]
         return groups if self.sampled else groups + list(self.law.surfaces)
 
     def surface_names(self) -> tuple[str, ...]:
@@ -178,47 +180,64 @@ class ClosedLoop(eqx.Module):
             for i, s in enumerate(drive)
         )
 
-    def _look(self, when: When, x: State, modes: tuple[Scalar, ...]) -> _View:
-        """Measurements and switches at an instant, in the carried modes."""
+    def _look(self, when: When, x: State, modes: tuple[Scalar, ...], held: Any) -> _View:
+        """Measurements, commands and switches at an instant, in the carried modes."""
         shares = share(modes, self._groups)
         axes = self.drive.axes
-        drive_switches = self._drive_switches(x.drive, shares[:axes])
-        ys = self._measure(when, x.drive, drive_switches)
-        if self.sampled:
-            return _View(ys, drive_switches, ())
-        guards = self.law.guards(x.law, ys)
-        law_switches = switch_all(self.deadzone, self.law.surfaces, guards, shares[axes:])
-        return _View(ys, drive_switches, law_switches)
-
-    def guards(self, when: When, x: State, modes: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-        """Guard values of all `surfaces` at an instant."""
-        values = self.drive.guards(x.drive, share(modes, self._groups)[: self.drive.axes])
+        transmission = self._drive_switches(x.drive, shares[:axes])
+        ys = self._measure(when, x.drive, transmission)
+        law, commands = (), held.command if self.sampled else ()
         if not self.sampled:
-            ys = self._look(when, x, modes).ys
-            values += self.law.guards(x.law, ys)
-        return tuple(v for own in values for v in own)
+            guards = self.law.guards(x.law, ys)
+            law = switch_all(self.deadzone, self.law.surfaces, guards, shares[2 * axes :])
+            commands = self.law.command(x.law, ys, law)
+        surfaces = tuple(m.surfaces for m in self.drive.motor)
+        own = shares[axes : 2 * axes]
+        motor = switch_all(self.deadzone, surfaces, self._motor_guards(x, ys, commands, own), own)
+        return _View(ys, commands, transmission, motor, law)
 
-    def _commands(self, x: State, held: Any, ys: Any, law_switches: Any) -> tuple[Scalar, ...]:
-        return held.command if self.sampled else self.law.command(x.law, ys, law_switches)
+    def _motor_guards(self, x: State, ys: tuple[Measured, ...], commands: Any, modes: Any) -> Any:
+        return self.drive.motor_guards(x.drive, tuple(y.T_s for y in ys), commands, modes)
+
+    def guards(
+        self, when: When, x: State, modes: tuple[Scalar, ...], held: Any
+    ) -> tuple[Scalar, ...]:
+        """Guard values of all `surfaces` at an instant."""
+        axes, shares = self.drive.axes, share(modes, self._groups)
+        view = self._look(when, x, modes, held)
+        values = self.drive.guards(x.drive, shares[:axes])
+        values += self._motor_guards(x, view.ys, view.commands, shares[axes : 2 * axes])
+        if not self.sampled:
+            values += self.law.guards(x.law, view.ys)
+        return tuple(v for own in values for v in own)
 
     def field(self, when: When, x: State, modes: tuple[Scalar, ...], held: Any) -> State:
         """Rates of everything that is integrated, in the carried modes."""
-        ys, drive_switches, law_switches = self._look(when, x, modes)
-        commands = self._commands(x, held, ys, law_switches)
+        view = self._look(when, x, modes, held)
         loads = tuple(d.value(*when) for d in self.scenario.load_torque)
-        rates = self.drive.field(x.drive, commands, loads, drive_switches)
-        law = () if self.sampled else self.law.field(x.law, ys, law_switches)
+        rates = self.drive.field(x.drive, view.commands, loads, view.transmission, view.motor)
+        law = () if self.sampled else self.law.field(x.law, view.ys, view.law)
         return State(rates, law)
+
+    def definite(self, x: State, rates: State, h: Scalar) -> Scalar:
+        """Whether the load's mass matrix is positive definite wherever a step of h from x looks."""
+        definite = jnp.asarray(True)
+        for length, bend in ((0.0, 0.0), (0.5, 0.0), (0.5, 0.5), (1.0, 0.5)):
+            angles = tuple(
+                s.theta_L + length * h * (s.omega_L + bend * h * rate.omega_L)
+                for s, rate in zip(x.drive, rates.drive, strict=True)
+            )
+            definite = definite & self.drive.load.definite(angles)
+        return definite
 
     def outputs(
         self, when: When, x: State, modes: tuple[Scalar, ...], held: Any
     ) -> tuple[Outputs, ...]:
         """All signals, per axis."""
-        ys, drive_switches, law_switches = self._look(when, x, modes)
-        commands = self._commands(x, held, ys, law_switches)
+        view = self._look(when, x, modes, held)
         return tuple(
-            self._axis_outputs(i, when, x.drive[i], y, commands[i], drive_switches[i])
-            for i, y in enumerate(ys)
+            self._axis_outputs(i, when, x.drive[i], y, view.commands[i], view.transmission[i])
+            for i, y in enumerate(view.ys)
         )
 
     def _axis_outputs(
@@ -240,7 +259,7 @@ class ClosedLoop(eqx.Module):
         """The sampled law's turn at a tick; nothing for continuous laws."""
         if not self.sampled:
             return held
-        ys = self._look(when, x, modes).ys
+        ys = self._look(when, x, modes, held).ys
         return self.law.on_tick(tick, ys, held, self.ratios, self.dt)
 
     def next_break(self, t: Scalar) -> Scalar:

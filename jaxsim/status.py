@@ -12,6 +12,7 @@ class Status(enum.IntEnum):
     EVENTS = 1
     DIVERGED = 2
     INVALID = 3
+    SINGULAR = 4
 
     @property
     def words(self) -> str:
@@ -21,4 +22,6 @@ class Status(enum.IntEnum):
             Status.EVENTS: "more events than there was room for: raise Exact(max_events=...)",
             Status.DIVERGED: "the state became infinite: reduce dt or the gains",
             Status.INVALID: "a parameter breaks its rule",
+            Status.SINGULAR: "the load's mass matrix is not positive definite at an angle met: "
+            "check M(theta_L) and its parameters",
         }[self]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from jaxsim.drive import Motor, Scalar
+from jaxsim.drive import Motor, Scalar, Shaft
+from jaxsim.hybrid import Switch
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
 
 
@@ -26,6 +27,6 @@ class Ideal(Motor):
         return command
 
     def field(
-        self, omega_M: Scalar, extra: Any, command: Scalar, load_torque: Scalar
+        self, shaft: Shaft, extra: Any, command: Scalar, switches: tuple[Switch, ...]
     ) -> tuple[Scalar, Any]:
-        return (command - self.D_M * omega_M - load_torque) / self.J_M, ()
+        return (command - self.D_M * shaft.omega_M - shaft.torque) / self.J_M, ()
