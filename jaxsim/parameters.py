@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -71,6 +71,12 @@ def parameter(
         return eqx.field(converter=_as_leaf, metadata=metadata)
     # A default goes through the converter too, so that every leaf is an array.
     return eqx.field(converter=_as_leaf, metadata=metadata, default=default)
+
+
+def stacked(values: Sequence[Any]) -> Any:
+    """The parameters of several components as one array: NumPy's where none is JAX's."""
+    traced = any(isinstance(v, jax.Array) for v in values)
+    return jnp.stack([jnp.asarray(v) for v in values]) if traced else np.stack(values)
 
 
 def is_concrete(value: Any) -> bool:

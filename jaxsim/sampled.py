@@ -90,6 +90,7 @@ class Sampled(eqx.Module):
             raise InputError("Sampled.period", "must be > 0 s", self.period, "e.g. 400e-6")
         if not self.delay >= 0.0:
             raise InputError("Sampled.delay", "must be >= 0 s", self.delay, "e.g. one period")
+        self.law.check_period(self.period)
 
     @property
     def axes(self) -> int:
@@ -98,6 +99,10 @@ class Sampled(eqx.Module):
     @property
     def command_unit(self) -> str:
         return self.law.command_unit
+
+    @property
+    def reference_unit(self) -> str | None:
+        return self.law.reference_unit
 
     def ticks(self, dt: float) -> tuple[int, int]:
         """period and delay in integration steps.
@@ -109,9 +114,12 @@ class Sampled(eqx.Module):
             count = round(value / dt)
             if abs(count * dt - value) > 1e-9 * dt + 1e-12 * value:
                 raise InputError(
-                    f"Sampled.{name}", f"must be a multiple of dt = {dt:g} s", value,
+                    f"Sampled.{name}",
+                    f"must be a multiple of dt = {dt:g} s",
+                    value,
                     f"use dt = {self.period / max(1, round(self.period / dt)):.6g} s"
-                    if name == "period" else f"use {max(count, 1) * dt:.6g} s",
+                    if name == "period"
+                    else f"use {max(count, 1) * dt:.6g} s",
                 )
             counts.append(count)
         return counts[0], counts[1]
@@ -138,6 +146,7 @@ class Sampled(eqx.Module):
             for y, last, ratio in zip(ys, held.seen, ratios, strict=True)
         )
         state = self._tustin(held.law, held.seen, seen)
+        state = self.law.on_sample(state, seen, self.period)
         command = self.law.command(state, seen, self._switches(state, seen))
         return Held(held.command, (command, *held.waiting[:-1]), state, seen)
 

@@ -30,6 +30,10 @@ class PD(Law):
         """For files: `design = { omega_1 = ..., ... }`; see `place_poles`."""
         return place_poles(drive, omega_1, omega_2, zeta)
 
+    @property
+    def reference_unit(self) -> str:
+        return "rad"
+
     def rest(self, y: Measured) -> Any:
         return (y.reference - y.theta_L,)
 
@@ -59,7 +63,9 @@ def place_poles(drive: Drive, omega_1: float, omega_2: float, zeta: float) -> PD
     K_D = target[2] * tau_D * inertia - viscosity - K_P * tau_D
     if min(tau_D, K_P, K_D) <= 0.0:
         raise InputError(
-            "poles", "must be reachable with positive K_P, K_D, tau_D",
-            f"K_P={K_P:.4g}, K_D={K_D:.4g}, tau_D={tau_D:.4g}", "place the poles further left",
+            "poles",
+            "must be reachable with positive K_P, K_D, tau_D",
+            f"K_P={K_P:.4g}, K_D={K_D:.4g}, tau_D={tau_D:.4g}",
+            "place the poles further left",
         )
     return PD(K_P, K_D, tau_D)

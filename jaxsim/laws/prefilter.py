@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxsim.hybrid import Surface, Switch
@@ -20,6 +21,15 @@ class Prefilter(Law):
 
     law: Law
     cutoff: Scalar = parameter("Hz", "cut-off of the low-pass", rule=POSITIVE, default=20.0)
+
+    command_unit: str = eqx.field(static=True, init=False)
+
+    def __post_init__(self) -> None:
+        self.command_unit = self.law.command_unit
+
+    @property
+    def reference_unit(self) -> str | None:
+        return self.law.reference_unit
 
     def _seen(self, state: Any, y: Measured) -> Measured:
         return y._replace(reference=state[0])

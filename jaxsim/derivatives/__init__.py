@@ -1,0 +1,1 @@
+"""Sources of load derivatives: one file each, found by scanning this folder."""
