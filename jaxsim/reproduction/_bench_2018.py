@@ -140,6 +140,21 @@ def rows(prefix: str, found: Mapping[str, Run], names: Sequence[str], note: str)
     ]
 
 
+def reduction_row(prefix: str, found: Mapping[str, Run], reference: float, note: str) -> Row:
+    """`prefix.linear.impact_reduction_pct`, judged against an event-accurate percentage."""
+    value = reduction(found, "linear")
+    return measured(
+        f"{prefix}.linear.impact_reduction_pct",
+        "first impact, conventional against none: less by",
+        "%",
+        value,
+        f"reference {reference:g}, event-accurate; {note}",
+    )._replace(
+        tolerance="within 0.005 % of the reference (half its last digit)",
+        ok=abs(value - reference) <= 0.005,
+    )
+
+
 def reduction(found: Mapping[str, Run], kind: str, name: str = "first_impact_Nm") -> float:
     """By how many percent a law makes a metric smaller than it is without damping."""
     return 100.0 * (1.0 - metric(found[kind], name) / metric(found["none"], name))

@@ -147,10 +147,10 @@ def _claims(found: Mapping[str, Mapping[str, Run]]) -> list[Row]:
 def _figure(part: str, runs: Mapping[str, Run]) -> Draw:
     where = "backlash mode" if part == "a" else "contact mode"
     caption = (
-        f"2018 paper, Fig. 8({part}): start at theta_B = {1e3 * DEFLECTIONS[part]:g} mrad (open "
-        "circles), theta_L = 0. Reading: PD to reference 0 and switched damping, K_B = -0.80. The "
-        "shaded band is the gap. The paper's axes are not in its text: these phase planes are our "
-        f"choice. {METHOD}"
+        f"2018 paper, Fig. 8({part}): start at θ_B = {1e3 * DEFLECTIONS[part]:g} mrad (circles), "
+        "θ_L = 0; legend: (ω_B, ω_L) at the start in rad/s. Reading: PD to reference 0 and "
+        "switched damping, K_B = -0.80. The shaded band is the gap. The paper's axes are not in "
+        f"its text: these phase planes are our choice. {METHOD}"
     )
 
     def draw(path: Path) -> None:
@@ -167,7 +167,7 @@ def _figure(part: str, runs: Mapping[str, Run]) -> Draw:
 
 def _trajectory(axes: np.ndarray, run: Run, case: str, colour: str, style: object) -> None:
     start = CASES[case]
-    label = f"({float(start.omega_B):+g}, {float(start.omega_L):+g}) rad/s"
+    label = f"({float(start.omega_B):+g}, {float(start.omega_L):+g})"
     for ax, x, scale in ((axes[0], "omega_L", 1.0), (axes[1], "theta_B", 1e3)):
         horizontal, vertical = scale * run.signals[x], run.signals["omega_B"]
         ax.plot(horizontal, vertical, color=colour, linestyle=style, linewidth=1.2, label=label)
@@ -181,6 +181,7 @@ def _finish(axes: np.ndarray) -> None:
     axes[0].set(xlabel=r"load-side speed $\omega_L$ [rad/s]", ylabel=speed)
     axes[1].set(xlabel=r"torsional angle $\theta_B$ [mrad]")
     axes[1].axvspan(-7.8, 7.8, color="0.93", zorder=0)
-    axes[0].legend(title=r"start $(\omega_B, \omega_L)$", title_fontsize=8.5)
+    handles, labels = axes[0].get_legend_handles_labels()
+    axes[0].figure.legend(handles, labels, loc="outside upper right", ncols=len(labels))
     for ax in axes:
         ax.plot(0.0, 0.0, "+", color="black", markersize=8)

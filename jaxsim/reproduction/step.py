@@ -82,7 +82,8 @@ class Step(Group):
 
     def find(self) -> Findings:
         found = bench.step_runs()
-        return Findings([*_numbers(found), *_claims(found)], _figures(found))
+        reduction = bench.reduction_row("step", found, 42.74, READING)
+        return Findings([*_numbers(found), reduction, *_claims(found)], _figures(found))
 
 
 def _numbers(found: Mapping[str, Run]) -> list[Row]:
