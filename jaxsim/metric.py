@@ -36,11 +36,15 @@ class Task(NamedTuple):
 class Metric(eqx.Module):
     """A group of numbers computed together over one axis of a run.
 
+    reference_unit: of the references that the numbers are about; what compares with a reference
+    is nan in a run whose law follows another kind (an overshoot in rad of a torque law).
+
     `values` names them, each with its unit in the name; the last of each line of the class
     docstring says what a run that never touches, settles or oscillates gives.
     """
 
     values: ClassVar[tuple[str, ...]]
+    reference_unit: ClassVar[str] = "rad"
     task: Task
 
     @abc.abstractmethod
@@ -56,14 +60,15 @@ class Metric(eqx.Module):
         """The named numbers."""
 
 
-def task_of(loop: ClosedLoop, axis: int) -> Task:
-    """The task of one axis, read off its reference signal."""
+def task_of(loop: ClosedLoop, axis: int, unit: str) -> Task:
+    """The task of one axis, read off its reference signal; nan where that is not in `unit`."""
     reference = loop.scenario.reference[axis]
     like = jnp.zeros_like(jnp.asarray(loop.scenario.start[axis].theta_L))
     end = like + loop.scenario.duration
+    about = like if (loop.law.reference_unit or "rad") == unit else like + jnp.nan
     return Task(
-        initial=like + reference.value(*When(like, like - 1.0)),
-        target=like + reference.value(*When(end, end)),
+        initial=about + reference.value(*When(like, like - 1.0)),
+        target=about + reference.value(*When(end, end)),
         onset=like + reference.onset(),
         duration=end,
     )

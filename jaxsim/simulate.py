@@ -107,7 +107,7 @@ def _run(options: _Options, drive: Drive, law: Any, scenario: Scenario) -> dict[
     """One run, as a dictionary of arrays."""
     loop = ClosedLoop(drive, law, scenario, options.deadzone, options.dt)
     metrics = tuple(
-        tuple(group(task_of(loop, axis)) for group in options.groups)
+        tuple(group(task_of(loop, axis, group.reference_unit)) for group in options.groups)
         for axis in range(drive.axes)
     )
     folds = tuple(tuple(m.start() for m in own) for own in metrics)

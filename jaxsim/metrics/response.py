@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxsim import hermite
 from jaxsim.engine import Piece
 from jaxsim.hermite import Cubic
-from jaxsim.metric import Metric, Scalar
+from jaxsim.metric import Metric, Scalar, Task
 
 _BAND = 0.02  # settling band, share of the step
 _LEVELS = (0.1, 0.5, 0.9)
@@ -53,7 +53,7 @@ class Response(Metric):
             jnp.maximum(top, hermite.largest(theta)),
             jnp.minimum(bottom, hermite.smallest(theta)),
             passages,
-            self._settled(theta, piece, settled),
+            last_entry(theta, piece, self.task, settled),
             piece.after.theta_L,
         )
 
@@ -64,18 +64,6 @@ class Response(Metric):
         passes, s = hermite.crossing(theta.shifted(-goal).scaled(task.direction))
         return jnp.where(passes, piece.t + s * piece.h, jnp.inf)
 
-    def _settled(self, theta: Cubic, piece: Piece, settled: Scalar) -> Scalar:
-        """The time of the last entry into the band; inf while outside."""
-        band = _BAND * jnp.abs(self.task.target - self.task.initial)
-        error = theta.shifted(-self.task.target)
-        above, below = error.shifted(-band), error.scaled(-1.0).shifted(-band)
-        for outside in (above, below):
-            # An entry is the outside distance falling through zero: its negative rises.
-            enters, s = hermite.crossing(outside.scaled(-1.0))
-            settled = jnp.where(enters, piece.t + s * piece.h, settled)
-        after = jnp.abs(error.value(1.0)) > band
-        return jnp.where(after & (piece.t >= self.task.onset), jnp.inf, settled)
-
     def finish(self, fold: Any) -> dict[str, Scalar]:
         top, bottom, passages, settled, last = fold
         task = self.task
@@ -84,8 +72,9 @@ class Response(Metric):
         beyond = jnp.where(task.direction > 0.0, top - task.target, task.target - bottom)
         overshoot = jnp.where(steps, jnp.maximum(beyond, 0.0), jnp.nan)
         ten, fifty, ninety = passages
-        rise = jnp.where(jnp.isfinite(ninety), jnp.where(jnp.isfinite(ninety), ninety, 0.0) - ten,
-                         jnp.inf)
+        rise = jnp.where(
+            jnp.isfinite(ninety), jnp.where(jnp.isfinite(ninety), ninety, 0.0) - ten, jnp.inf
+        )
         return {
             "theta_max_rad": top,
             "theta_min_rad": bottom,
@@ -96,3 +85,16 @@ class Response(Metric):
             "settle_2pct_s": jnp.where(steps, settled - task.onset, jnp.nan),
             "final_error_rad": task.target - last,
         }
+
+
+def last_entry(signal: Cubic, piece: Piece, task: Task, settled: Scalar) -> Scalar:
+    """The time of the last entry into the 2 % band about the target; inf while outside."""
+    band = _BAND * jnp.abs(task.target - task.initial)
+    error = signal.shifted(-task.target)
+    above, below = error.shifted(-band), error.scaled(-1.0).shifted(-band)
+    for outside in (above, below):
+        # An entry is the outside distance falling through zero: its negative rises.
+        enters, s = hermite.crossing(outside.scaled(-1.0))
+        settled = jnp.where(enters, piece.t + s * piece.h, settled)
+    after = jnp.abs(error.value(1.0)) > band
+    return jnp.where(after & (piece.t >= task.onset), jnp.inf, settled)

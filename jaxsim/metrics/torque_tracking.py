@@ -1,0 +1,66 @@
+"""How a torque law tracks its reference."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from jaxsim import hermite
+from jaxsim.engine import Piece
+from jaxsim.metric import Metric, Scalar
+from jaxsim.metrics.response import last_entry
+
+
+class TorqueTracking(Metric):
+    """Of T_s against the reference tau_r; the peak voltage is `command_peak`. With e = tau_r - T_s:
+
+    torque_error_rms_Nm = sqrt(int e^2 dt/duration) and torque_error_max_Nm = max |e|, of the whole
+    run, jumps of the reference included;
+    torque_overshoot_pct: largest excursion beyond the target, % of the step, 0 if it is never
+    passed; torque_settle_2pct_s: from the step to the last entry into the 2 % band, inf if not
+    inside at the end (both nan where the reference does not step);
+    nan, all of them, for laws whose reference is no torque.
+    """
+
+    values: ClassVar[tuple[str, ...]] = (
+        "torque_error_rms_Nm",
+        "torque_error_max_Nm",
+        "torque_overshoot_pct",
+        "torque_settle_2pct_s",
+    )
+    reference_unit: ClassVar[str] = "Nm"
+
+    def start(self) -> Any:
+        zero = jnp.zeros_like(self.task.target)
+        return zero, zero, zero, zero + self.task.onset
+
+    def update(self, fold: Any, piece: Piece) -> Any:
+        square, worst, beyond, settled = fold
+        torque, reference = piece.cubic("T_s"), piece.cubic("theta_Lref")
+        error = hermite.Cubic(*(r - T for r, T in zip(reference, torque, strict=True)))
+        excess = torque.shifted(-self.task.target).scaled(self.task.direction)
+        largest = jnp.maximum(hermite.largest(error), -hermite.smallest(error))
+        return (
+            square + piece.h * hermite.integral(lambda s: error.value(s) ** 2, 0.0, 1.0),
+            jnp.maximum(worst, largest),
+            jnp.maximum(beyond, hermite.largest(excess)),
+            last_entry(torque, piece, self.task, settled),
+        )
+
+    def finish(self, fold: Any) -> dict[str, Scalar]:
+        square, worst, beyond, settled = fold
+        task = self.task
+        size = jnp.abs(task.target - task.initial)
+        steps = size > 0.0
+        positive = square > 0.0  # the root has no derivative at zero
+        rms = jnp.sqrt(jnp.where(positive, square, 1.0) / task.duration)
+        follows = jnp.isfinite(task.target)
+        return {
+            "torque_error_rms_Nm": jnp.where(follows, jnp.where(positive, rms, 0.0), jnp.nan),
+            "torque_error_max_Nm": jnp.where(follows, worst, jnp.nan),
+            "torque_overshoot_pct": jnp.where(
+                steps, 100.0 * beyond / jnp.where(steps, size, 1.0), jnp.nan
+            ),
+            "torque_settle_2pct_s": jnp.where(steps, settled - task.onset, jnp.nan),
+        }
