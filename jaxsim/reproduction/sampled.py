@@ -54,7 +54,8 @@ def _impacts(found: Mapping[str, Run]) -> list[Row]:
             abs(less - 44.0) <= 1.0,
             "44 +- 1",
             "III.B, a simulation: '44%'. Sampled as in the experiments it is 44.57 % "
-            "(45 % in whole numbers), continuous 42.74 %. The paper does not say how its simulation was sampled",
+            "(45 % in whole numbers), continuous 42.74 %. The paper "
+            "does not say how its simulation was sampled",
             paper=44.0,
         ),
         claim(
