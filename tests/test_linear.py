@@ -225,6 +225,22 @@ def test_singular_load_stiffness_leaves_zero_eigenvalues_the_torque_does_not_see
     seen = np.linalg.eigvals(torque_dynamics(system, law))
     assert len(seen) == 10
     assert np.real(seen).max() < -1e-3
+    assert margins(open_loop(system, law)).gain == pytest.approx(6.5, rel=0.05)
+    # A law whose model has gravity sees the positions: they are in the loop, and not left out.
+    assert len(torque_dynamics(system, replace(law, model=arm()))) == 12
+
+
+def test_a_law_with_its_own_model() -> None:
+    right = closed_loop(arm(), replace(FULL, model=arm()).scaled(2.0))
+    np.testing.assert_array_equal(right.A, closed_loop(arm(), FULL.scaled(2.0)).A)
+    law = replace(FULL, model=replace(arm(), M_L=0.8 * arm().M_L))
+    assert stable_gains(arm(), law)[-1][1] != pytest.approx(12.2104094, rel=1e-4)
+
+
+def test_the_peak_of_systems_that_have_none_inside() -> None:
+    low = StateSpace(*(np.array([[v]]) for v in (-2.0, 1.0, 3.0, 0.0)), ("x",), ("u",), ("y",))
+    assert peak(low) == pytest.approx((1.5, 0.0))
+    assert peak(replace(low, C=-low.C, D=np.array([[2.0]]))) == (2.0, math.inf)  # 2 - 3/(s + 2)
 
 
 # --- frequency, step, disturbances ----------------------------------------------------------------

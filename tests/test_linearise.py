@@ -20,7 +20,9 @@ from jaxsim.drives.two_link_arm_2014 import two_link_arm_2014
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Exact
 from jaxsim.law import Decentral
+from jaxsim.laws.feedforward import Feedforward
 from jaxsim.laws.lead import Lead as LeadLaw
+from jaxsim.laws.motor_position import MotorPosition
 from jaxsim.laws.pd import PD
 from jaxsim.laws.pi_torque import PITorque
 from jaxsim.laws.positive_feedback import PositiveFeedback, gammas
@@ -29,6 +31,7 @@ from jaxsim.laws.switched_damping import SwitchedDamping
 from jaxsim.linear.frequency import bandwidth, margins, response
 from jaxsim.linear.joints import plant, transmission_zeros
 from jaxsim.linear.linearise import joint_system, linearise
+from jaxsim.linear.stability import stable_intervals
 from jaxsim.linear.state_space import StateSpace, per_axis, poles
 from jaxsim.linear.torque_loop import Butterworth, Lead, TorqueLaw, closed_loop
 from jaxsim.linear.zeros import zeros
@@ -48,6 +51,12 @@ D_M, D_L, K, D_B = 9.30e-2, 3.60e-2, 3.00e2, 1.00e-1
 
 def loop(drive: Drive, law: Any) -> ClosedLoop:
     return ClosedLoop(drive, law, Scenario(), Exact(), dt=1e-4)
+
+
+def arm_loop(law: Any) -> ClosedLoop:
+    idle, start = (Constant(), Constant()), (Start(), Start())
+    scenario = Scenario(reference=idle, load_torque=idle, start=start)
+    return ClosedLoop(two_link_arm_2014(), law, scenario, Exact(), dt=1e-4)
 
 
 def _sorted(values: np.ndarray) -> np.ndarray:
@@ -242,11 +251,7 @@ def test_the_torque_loop_of_the_engine_is_that_of_the_linear_analysis(
     law: Any, linear: TorqueLaw
 ) -> None:
     q, drive = np.array([0.0, 0.5]), two_link_arm_2014()
-    scenario = Scenario(
-        reference=(Constant(), Constant()), load_torque=(Constant(), Constant()),
-        start=(Start(), Start()),
-    )  # fmt: skip
-    found = linearise(ClosedLoop(drive, law, scenario, Exact(), 1e-4), q)
+    found = linearise(arm_loop(law), q)
     paper = closed_loop(joint_system(drive, q), linear)
     np.testing.assert_allclose(
         found.reference, [1.034 * math.sin(0.5)] * 2, rtol=1e-9
@@ -260,6 +265,24 @@ def test_the_torque_loop_of_the_engine_is_that_of_the_linear_analysis(
         for omega in (1.0, 40.0, 250.0):
             x, y = (response(s.channel(*names), omega) for s in (found.system, paper))
             np.testing.assert_allclose(x, y, atol=1e-8 * max(1.0, np.abs(y).max()))
+
+
+def test_motor_position_feedback_holds_a_falling_load_and_leaves_its_zeros() -> None:
+    # Section 3.4.1 at (1.8, 2.1): two unstable eigenvalues, two zeros in the right half plane.
+    q, drive = np.array([1.8, 2.1]), two_link_arm_2014()
+    joint = plant(joint_system(drive, q))
+    spring = joint.channel(per_axis("theta_M", 2), per_axis("command", 2))
+    ((least, most),) = stable_intervals(spring.A, -spring.B @ spring.C)
+    np.testing.assert_allclose([least, most], [0.0018549318, 85.805683], rtol=1e-6)
+    for K_theta, stable in ((0.999 * least, False), (1.001 * least, True)):
+        angles = 150.0 * q  # about where it is to hold; a constant voltage makes up the rest
+        voltage = Feedforward(command_unit="V")
+        law = Decentral(tuple(voltage + MotorPosition(K_theta, a) for a in angles))
+        held = linearise(arm_loop(law), q).system
+        assert bool(poles(held)[0].real < 0.0) is stable
+        found = zeros(held.channel(per_axis("T_s", 2), per_axis("reference", 2)))
+        expected = transmission_zeros(joint_system(drive, q))
+        np.testing.assert_allclose(_sorted(found), _sorted(expected), atol=1e-7)
 
 
 def test_the_gammas_of_the_law_and_of_the_analysis_agree() -> None:

@@ -100,7 +100,7 @@ def bandwidth(channel: StateSpace) -> float:
 
 
 def peak(channel: StateSpace) -> Peak:
-    """The largest |G(j omega)| over omega >= 0 of a stable system.
+    """The largest |G(j omega)| over omega >= 0 of a stable system (omega = inf where it is D).
 
     Bruinsma and Steinbuch (1990): between crossings of the best level so far lies a better one.
     """
@@ -111,10 +111,15 @@ def peak(channel: StateSpace) -> Peak:
 
     omega = max([0.0, *np.abs(poles(channel))], key=size)
     while len(above := level_crossings(channel, size(omega) * (1.0 + _PEAK))) > 1:
-        omega = max(np.sqrt(above[1:] * above[:-1]), key=size)
+        higher = max(np.sqrt(above[1:] * above[:-1]), key=size)
+        if size(higher) <= size(omega):
+            break  # rounding: nothing is left to be gained
+        omega = higher
+    if abs(channel.D[0, 0]) >= size(omega):
+        return Peak(abs(channel.D[0, 0]), math.inf)
     ends = (omega * (1.0 - 1e-3), omega * (1.0 + 1e-3))
     best = optimize.minimize_scalar(lambda w: -size(w), bounds=ends, options={"xatol": 1e-9})
-    return Peak(size(omega), omega) if size(omega) > -best.fun else Peak(-best.fun, best.x)
+    return max(Peak(size(omega), float(omega)), Peak(float(-best.fun), float(best.x)))
 
 
 _PEAK = 1e-6  # relative rise that is still looked for; then a bounded search

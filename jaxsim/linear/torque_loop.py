@@ -118,7 +118,14 @@ def _filter(law: TorqueLaw, axes: int) -> MatrixPolynomial:
 
 
 def X(system: JointSystem, law: TorqueLaw) -> MatrixPolynomial:
-    """What positive feedback leaves of Y(s); after (24). With a filter, times its denominator."""
+    """What positive feedback leaves of Y(s); after (24). With a filter, times its denominator.
+
+    Raises: InputError when the law has its own model of the load: (24) assumes the true one.
+    """
+    if law.model is not None and law.derivatives is None:
+        raise InputError(
+            "law.model", "must be None for (24)", "a model", "use the poles of closed_loop instead"
+        )
     p = system.axes
     F = MatrixPolynomial.diagonal(0.0, *law.gains(system), axes=p)
     return system.Y() @ _filter(law, p) - F
@@ -129,12 +136,8 @@ def characteristic(system: JointSystem, law: TorqueLaw) -> MatrixPolynomial:
 
     Filter and lead enter by their denominators, so that it stays a polynomial.
 
-    Raises: InputError when the law has its own model of the load: (25) assumes the true one.
+    Raises: what `X` raises.
     """
-    if law.model is not None and law.derivatives is None:
-        raise InputError(
-            "law.model", "must be None for (25)", "a model", "use the poles of closed_loop instead"
-        )
     p = system.axes
     s = MatrixPolynomial.diagonal(0.0, 1.0, axes=p)
     torque = Q_c(system, law) @ _filter(law, p) @ system.load()
@@ -180,7 +183,8 @@ def open_loop(system: JointSystem, law: TorqueLaw, axis: int = 0) -> StateSpace:
     """The loop cut at the torque measurement of one joint's PI, all others closed.
 
     L(s) from the measurement to the torque, with the sign for which 1 + L has the closed-loop
-    poles as zeros: margins, Nyquist and Bode plots are those of L.
+    poles as zeros: margins, Nyquist and Bode plots are those of L. Load positions that no torque
+    sees are left out, as in `torque_dynamics`.
     """
     p = system.axes
     drive, pi, *others = _parts(system, law)
@@ -188,7 +192,7 @@ def open_loop(system: JointSystem, law: TorqueLaw, axis: int = 0) -> StateSpace:
     cut = replace(pi, inputs=tuple("measured" if n == name else n for n in pi.inputs))
     unused = per_axis("reference", p) + per_axis("tau_d", p) + per_axis("d_L", p)
     loop = interconnect([drive, cut, *others], ["measured", *unused], [name])
-    loop = loop.channel([name], ["measured"])
+    loop = _seen(loop.channel([name], ["measured"]), system, law)
     return replace(loop, C=-loop.C, D=-loop.D)
 
 
@@ -198,11 +202,20 @@ def torque_dynamics(system: JointSystem, law: TorqueLaw) -> np.ndarray:
     No torque depends on those: where K_L is singular they are eigenvalues at zero that the joint
     torque does not see, and stability of the torque can only be judged without them.
     """
-    A, p = closed_loop(system, law).A, system.axes
-    _, sizes, rows = np.linalg.svd(system.K_L)
-    seen = rows[sizes > _SINGULAR * max(sizes.max(), _SINGULAR)]
-    keep = linalg.block_diag(seen, np.eye(len(A) - p))
-    return keep @ A @ keep.T
+    return _seen(closed_loop(system, law), system, law).A
+
+
+def _seen(loop: StateSpace, system: JointSystem, law: TorqueLaw) -> StateSpace:
+    """A loop, theta_L first among its states, without positions that neither load nor law see."""
+    own, p = law.model or system, system.axes
+    _, sizes, rows = np.linalg.svd(np.vstack([system.K_L, own.K_L]))
+    count = int((sizes > _SINGULAR * max(sizes.max(), _SINGULAR)).sum())
+    keep = linalg.block_diag(rows[:count], np.eye(len(loop.A) - p))
+    names = tuple(f"position_{k}" for k in range(count)) + loop.states[p:]
+    return replace(
+        loop, A=keep @ loop.A @ keep.T, B=keep @ loop.B, C=loop.C @ keep.T,
+        states=loop.states if count == p else names,
+    )  # fmt: skip
 
 
 _SINGULAR = 1e-12  # of the largest singular value of K_L
