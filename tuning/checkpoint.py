@@ -1,0 +1,81 @@
+"""The state of a search on disk: JSON, written beside and renamed, after every iteration."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxsim.errors import InputError
+from jaxsim.provenance import write_json
+from tuning.solver import State
+from tuning.spec import describe
+
+if TYPE_CHECKING:
+    from tuning.session import Session
+
+_PLAIN = ("radius", "penalty", "status", "iterations", "reason")
+_ARRAYS = ("z", "hessian", "best")
+
+
+def write(session: Session) -> None:
+    """Everything that `read` needs; an interrupt leaves the file of the iteration before."""
+    write_json(
+        session.file,
+        {
+            "problem": fingerprint(session),
+            "stage": session.stage,
+            "drives": session.drives,
+            "excluded": session.excluded,
+            "unit": session.unit,
+            "seconds": session.seconds,
+            "states": [_table(s) for s in session.states],
+            "history": session.history,
+        },
+    )
+
+
+def read(session: Session) -> list[State]:
+    """Fill a session from its file; returns its states, without their objectives.
+
+    Raises: InputError where there is no such file, it is damaged, or belongs to another problem.
+    """
+    file = session.file
+    try:
+        found = json.loads(file.read_text("utf-8"))
+        states = [_state(table) for table in found["states"]]
+    except FileNotFoundError:
+        fix = "leave --resume out for a new run"
+        raise InputError("--resume", "needs a checkpoint", f"no {file}", fix) from None
+    except (ValueError, KeyError, TypeError) as error:
+        fix = "start anew without --resume"
+        raise InputError(str(file), "must be a whole checkpoint", repr(error), fix) from None
+    if found["problem"] != fingerprint(session):
+        fix = "give the same study, starts and seed, or start anew without --resume"
+        raise InputError(str(file), "must belong to this study", "another problem", fix)
+    session.stage, session.unit, session.seconds = found["stage"], found["unit"], found["seconds"]
+    session.drives = np.array(found["drives"], int)
+    session.excluded = {int(k): v for k, v in found["excluded"].items()}
+    session.history = found["history"]
+    return states
+
+
+def fingerprint(session: Session) -> str:
+    """A digest of the study as it was read and of the specification, overrides included."""
+    parts = {k: v for k, v in session.study.table.items() if k not in ("name", "about", "tune")}
+    text = json.dumps([parts, describe(session.spec)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _table(s: State) -> dict[str, Any]:
+    return {name: getattr(s, name) for name in (*_PLAIN, *_ARRAYS)}
+
+
+def _state(table: dict[str, Any]) -> State:
+    arrays = {k: None if table[k] is None else np.array(table[k], float) for k in _ARRAYS}
+    return dataclasses.replace(
+        State(np.zeros(0)), **arrays, **{name: table[name] for name in _PLAIN}
+    )

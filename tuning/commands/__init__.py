@@ -1,0 +1,1 @@
+"""Subcommands of `gearlash` that belong to this package."""

@@ -1,0 +1,100 @@
+"""An objective near one law: values of all its terms and their slopes, one row per drive."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxsim.objective import Limit, Objective, Over
+
+# The search keeps this share of each bound in reserve: a law that it calls feasible stays so at
+# smaller steps (the located engine moves peaks by 3e-6 from dt = 2e-4 to the limit).
+RESERVE = 1e-4
+
+
+class Rows(NamedTuple):
+    """A term of which the largest row counts: values (k,), slopes (k, P), its factor.
+
+    For a goal the factor is its weight; a limit has values (metric - most)/factor + RESERVE,
+    <= 0 if it is kept with the reserve.
+    source: the drive of each row, by its place among the drives looked at.
+    """
+
+    values: np.ndarray
+    slopes: np.ndarray
+    factor: float
+    source: np.ndarray
+
+
+class Local(NamedTuple):
+    """Goals and limits at one law."""
+
+    goals: tuple[Rows, ...]
+    limits: tuple[Rows, ...]
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of the goals."""
+        return float(sum(g.factor * g.values.max() for g in self.goals))
+
+    @property
+    def excess(self) -> np.ndarray:
+        """By what share of its bound each limit, less the reserve, is exceeded (limits,)."""
+        return np.array([limit.values.max() for limit in self.limits])
+
+    @property
+    def violation(self) -> float:
+        """By what share the worst limit is exceeded; 0 where all are kept by half the reserve."""
+        worst = float(self.excess.max(initial=0.0)) - 0.5 * RESERVE
+        return max(worst, 0.0)
+
+
+def localise(
+    objective: Objective, names: tuple[str, ...], values: np.ndarray, slopes: np.ndarray
+) -> Local:
+    """The objective at one law.
+
+    values: (drives, axes, metrics); slopes: (drives, axes, metrics, P); names: of the metrics.
+    """
+    axes = values.shape[1]
+    source = np.repeat(np.arange(len(values)), axes)
+
+    def rows(metric: str, over: Over) -> Rows:
+        at = names.index(metric)
+        own = values[..., at].reshape(-1), slopes[..., at, :].reshape(len(source), -1)
+        return _over(*own, source, over)
+
+    return Local(
+        tuple(rows(g.metric, g.over)._replace(factor=g.weight) for g in objective.goals),
+        tuple(_relative(rows(x.metric, x.over), x) for x in objective.limits),
+    )
+
+
+def size(limit: Limit) -> float:
+    """What an excess of a limit is measured by: the bound, or 1 SI unit where that is 0."""
+    return abs(limit.most) or 1.0
+
+
+def _relative(rows: Rows, limit: Limit) -> Rows:
+    by = size(limit)
+    return Rows((rows.values - limit.most) / by + RESERVE, rows.slopes / by, by, rows.source)
+
+
+def _over(values: np.ndarray, slopes: np.ndarray, source: np.ndarray, over: Over) -> Rows:
+    """All rows for the worst case, one for a mean or a quantile.
+
+    A quantile has the slopes of the two order statistics that it lies between.
+    """
+    if over == "worst":
+        return Rows(values, slopes, 1.0, source)
+    if over == "mean":
+        return Rows(values.mean(keepdims=True), slopes.mean(axis=0, keepdims=True), 1.0, source[:1])
+    order = np.argsort(values)
+    place = float(over) * (len(values) - 1)
+    low = int(place)
+    high, share = min(low + 1, len(values) - 1), place - low
+    weights = np.zeros(len(values))
+    weights[order[low]] += 1.0 - share
+    weights[order[high]] += share
+    return Rows((weights @ values)[None], (weights @ slopes)[None], 1.0, source[order[[low]]])

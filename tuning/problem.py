@@ -1,0 +1,117 @@
+"""All metrics of all drives under many laws at once, with their Jacobians."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxsim import tree
+from jaxsim.parameters import violations
+from jaxsim.simulate import simulate
+from jaxsim.status import Status
+from jaxsim.study import Study
+from tuning import space
+from tuning.spec import Spec
+
+# Runs that one compiled call makes. A search changes its number of starts and drives as it goes;
+# calls of one size compile once (7 s), and a call of 64 is as fast per run as one of 256.
+LANES = 64
+
+
+class Outcome(NamedTuple):
+    """What laws do on drives.
+
+    values (points, drives, axes, metrics); slopes (points, drives, axes, metrics, P), with respect
+    to unit coordinates; status (points, drives): `Status` codes.
+    """
+
+    values: np.ndarray
+    slopes: np.ndarray
+    status: np.ndarray
+
+
+class Problem:
+    """The runs that a study is tuned on.
+
+    drives: (count, spreads), values of the uncertain parameters; the first is the study's drive.
+    metrics: those of the objective.
+    """
+
+    def __init__(self, study: Study, spec: Spec) -> None:
+        self.study, self.spec = study, spec
+        self.drives = space.draw_drives(study.drive, spec)
+        self.metrics = spec.objective.metrics()
+        most = max(spec.count, spec.screen * spec.starts)
+        self._lanes = min(LANES, most)
+        self._run = jax.jit(jax.vmap(self._one))
+
+    def drive(self, index: int) -> Any:
+        """The drive of one row of `drives`."""
+        values = self.drives[index]
+        return tree.replace(
+            self.study.drive, {s.path: v for s, v in zip(self.spec.spreads, values, strict=True)}
+        )
+
+    def label(self, index: int) -> str:
+        """A drive in words, e.g. "drive 17 (half_gap=0.0085, K=270)"."""
+        if index == 0:
+            return "the study's drive"
+        values = zip(self.spec.spreads, self.drives[index], strict=True)
+        return f"drive {index} ({', '.join(f'{s.name}={v:.4g}' for s, v in values)})"
+
+    def trouble(self, index: int, status: int) -> str:
+        """Why a run failed: the broken rule of the drive, or the status in words."""
+        broken = violations(self.drive(index)) if status == Status.INVALID.value else []
+        return "; ".join(broken) or Status(status).words
+
+    def _one(self, gains: Any, drive: Any) -> tuple[Any, Any, Any]:
+        """Values, Jacobian and status of one run.
+
+        In forward mode: for 64 runs and 4 gains 0.29 s of CPU, against 0.97 s in reverse.
+        """
+
+        def numbers(p: Any) -> tuple[Any, Any]:
+            values, status = self._values(p, drive)
+            return values, (values, status)
+
+        slopes, (values, status) = jax.jacfwd(numbers, has_aux=True)(gains)
+        return values, slopes, status
+
+    def _values(self, gains: Any, drive: Any) -> tuple[Any, Any]:
+        """Metrics (axes, metrics) and status of one run."""
+        study, spec = self.study, self.spec
+        uncertain = {s.path: drive[i] for i, s in enumerate(spec.spreads)}
+        run = simulate(
+            tree.replace(study.drive, uncertain),
+            space.with_gains(study.law, spec.free, gains),
+            study.scenario,
+            dt=study.run.dt,
+            deadzone=study.run.deadzone,
+            metrics=self.metrics,
+            store=None,
+            dtype=study.run.dtype,
+            throw=False,
+        )
+        columns = [jnp.atleast_1d(run.metrics[name]) for name in self.metrics]
+        return jnp.stack(columns, axis=-1), run.status
+
+    def evaluate(self, points: np.ndarray, drives: np.ndarray) -> Outcome:
+        """Laws at unit coordinates (n, P) on drives (d,) by index, each with each."""
+        gains = np.repeat(space.to_gains(self.spec.free, points), len(drives), axis=0)
+        own = np.tile(self.drives[drives], (len(points), 1))
+        values, slopes, status = self._all(gains, own)
+        shape = (len(points), len(drives))
+        slopes = slopes.reshape(*shape, *slopes.shape[1:])
+        scale = space.slope(self.spec.free, points)[:, None, None, None, :]
+        values = values.reshape(*shape, *values.shape[1:])
+        return Outcome(values, slopes * scale, status.reshape(shape))
+
+    def _all(self, gains: np.ndarray, drives: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Any number of runs, in calls of one size; the last one is filled up by its last run."""
+        count = len(gains)
+        rows = np.minimum(np.arange(-(-count // self._lanes) * self._lanes), count - 1)
+        parts = [self._run(gains[part], drives[part]) for part in rows.reshape(-1, self._lanes)]
+        return tuple(np.concatenate([np.asarray(p[k]) for p in parts])[:count] for k in range(3))

@@ -1,0 +1,228 @@
+"""A tuning run from start to end: all starts on a few drives, then the best on all drives."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxsim.errors import InputError
+from jaxsim.study import Study
+from tuning import checkpoint, solver, space
+from tuning.local import Local, localise
+from tuning.problem import Outcome, Problem
+from tuning.solver import FAILED, RUNNING, SPENT, State
+from tuning.spec import Spec
+
+SCREEN, FULL = "screen", "full"
+# Steps shorter than this, on the unit cube, end a start. The screen only has to rank.
+_TOLERANCE = {SCREEN: 1e-3, FULL: 1e-6}
+_SECOND_RADIUS = 0.05
+# Ends of the screen closer than this, on the unit cube, are the same.
+_SAME = 1e-2
+
+
+class Progress(NamedTuple):
+    """Where a run stands: iterations of this stage done and at most to do, and the best so far."""
+
+    stage: str
+    done: int
+    total: int
+    cost: float
+    violation: float
+
+
+class Session:
+    """One search, whose state is on disk after every iteration.
+
+    stage: "screen" or "full". drives: indices of those looked at. excluded: index -> why, of
+    drives that fail under every law tried. unit: the cost that counts as 1 in the search.
+    history: one table per start and iteration.
+    """
+
+    def __init__(self, study: Study, spec: Spec, file: Path) -> None:
+        self.study, self.spec, self.file = study, spec, file
+        self.problem = Problem(study, spec)
+        self.stage = SCREEN if spec.screen < spec.count else FULL
+        self.states: list[State] = []
+        self.drives = np.arange(spec.count)
+        self.excluded: dict[int, str] = {}
+        self.unit = 1.0
+        self.history: list[dict[str, Any]] = []
+        self.seconds = 0.0
+        self.done = self.interrupted = False
+
+    def search(self, tell: Callable[[Progress], None]) -> None:
+        """Search to the end, or until Ctrl-C; `tell` is called after every iteration.
+
+        Raises: InputError where no start can be evaluated on any drive.
+        """
+        begun, before = time.perf_counter(), self.seconds
+        try:
+            while not self.done:
+                self._turn()
+                self.seconds = before + time.perf_counter() - begun
+                checkpoint.write(self)
+                tell(self.progress())
+        except KeyboardInterrupt:
+            if not any(s.best is not None for s in self.states):
+                raise  # nothing to keep
+            self.interrupted = True
+
+    def best(self) -> State:
+        """The best law met in this stage: by violation, then cost."""
+        return min(self.states, key=lambda s: s.rank)
+
+    def progress(self) -> Progress:
+        done = max(s.iterations for s in self.states)
+        best = self.best()
+        cost = np.nan if best.best_local is None else best.best_local.cost * self.unit
+        total = done if self.done else self.spec.iterations
+        return Progress(self.stage, done, total, cost, best.rank[0])
+
+    def _turn(self) -> None:
+        """The next piece of work: opening a stage, or an iteration of it."""
+        running = [s.status == RUNNING for s in self.states]
+        if not self.states:
+            points = space.starting_points(self.study.law, self.spec)
+            self._open([State(z) for z in points])
+            self._record([True] * len(points))
+        elif any(running):
+            tolerance = _TOLERANCE[self.stage]
+            moved = solver.advance(self.states, self._look, tolerance, self.spec.iterations)
+            self.states = moved
+            self._record(running)
+        elif self.stage == SCREEN:
+            self._open_full()
+            self._record([True] * len(self.states))
+        else:
+            self.done = True
+
+    def _open(self, states: list[State]) -> None:
+        """Begin a stage. Drives that fail under every one of its laws are left out, and named."""
+        self.drives = self._wanted()
+        points = np.array([s.z for s in states])
+        outcome = self.problem.evaluate(points, self.drives)
+        dead = (outcome.status != 0).all(axis=0)
+        for k in np.flatnonzero(dead):
+            index = int(self.drives[k])
+            self.excluded[index] = self.problem.trouble(index, int(outcome.status[0, k]))
+        if dead.all():
+            why = "; ".join(f"{self.problem.label(i)}: {w}" for i, w in self.excluded.items())
+            raise InputError(
+                "tune", "needs a drive that runs under one start", why, "other bounds or drives"
+            )
+        self.drives = self.drives[~dead]
+        locals_ = self._locals(_part(outcome, ~dead))
+        if not self.history:
+            self.unit = _unit(locals_)
+            locals_ = self._locals(_part(outcome, ~dead))
+        self.states = [solver.begin(s, x) for s, x in zip(states, locals_, strict=True)]
+        if all(s.status == FAILED for s in self.states):
+            why = self.states[0].reason
+            raise InputError("tune", "needs a start that can be evaluated", why, "other bounds")
+
+    def _wanted(self) -> np.ndarray:
+        """Indices of the drives of this stage."""
+        known = np.array([i for i in range(self.spec.count) if i not in self.excluded])
+        if self.stage == FULL:
+            return known
+        return known[space.spanning(self.problem.drives[known], self.spec.screen)]
+
+    def _open_full(self) -> None:
+        """The ends of the screen on all drives; the best of them go on."""
+        self.stage = FULL
+        ends = [s for s in sorted(self.states, key=lambda s: s.rank) if s.best is not None]
+        apart: list[State] = []
+        for s in ends:
+            if all(np.abs(s.best - other.best).max() > _SAME for other in apart):  # type: ignore[operator]
+                apart.append(s)
+        start = State(space.starting_points(self.study.law, self.spec)[0])
+        tried = [_second(s) for s in apart[: 2 * self.spec.finalists]]
+        self._open([*tried, start])
+        ranked = sorted(self.states, key=lambda s: s.rank)
+        self.states = [s for s in ranked if s.status != FAILED][: self.spec.finalists]
+
+    def _look(self, points: np.ndarray) -> list[Local | str]:
+        return self._locals(self.problem.evaluate(points, self.drives))
+
+    def _locals(self, outcome: Outcome) -> list[Local | str]:
+        """The objective at each point, or why it has none there."""
+        found: list[Local | str] = []
+        for values, slopes, status in zip(*outcome, strict=True):
+            trouble = self._trouble(values, slopes, status)
+            if trouble:
+                found.append(trouble)
+                continue
+            local = localise(self.spec.objective, self.problem.metrics, values, slopes)
+            goals = tuple(g._replace(factor=g.factor / self.unit) for g in local.goals)
+            found.append(local._replace(goals=goals))
+        return found
+
+    def _trouble(self, values: np.ndarray, slopes: np.ndarray, status: np.ndarray) -> str:
+        for k in np.flatnonzero(status):
+            index = int(self.drives[k])
+            return f"{self.problem.label(index)}: {self.problem.trouble(index, int(status[k]))}"
+        for k, _, m in np.argwhere(~np.isfinite(values) | ~np.isfinite(slopes).all(axis=-1)):
+            label, name = self.problem.label(int(self.drives[k])), self.problem.metrics[m]
+            return f"{label}: {name} or its slope is not finite"
+        return ""
+
+    def _record(self, moved: list[bool]) -> None:
+        for k, s in enumerate(self.states):
+            if s.local is None or not moved[k]:
+                continue
+            gains = space.to_gains(self.spec.free, s.z).tolist()
+            self.history.append(
+                {
+                    "stage": self.stage,
+                    "iteration": s.iterations,
+                    "start": k,
+                    "status": s.status,
+                    "cost": s.local.cost * self.unit,
+                    "violation": s.local.violation,
+                    "radius": s.radius,
+                    **dict(zip((f.name for f in self.spec.free), gains, strict=True)),
+                }
+            )
+
+
+def _second(s: State) -> State:
+    """A state to go on from the best point of another one, with its curvature and penalty."""
+    return State(s.best, _SECOND_RADIUS, s.hessian, s.penalty)  # type: ignore[arg-type]
+
+
+def _part(outcome: Outcome, drives: np.ndarray) -> Outcome:
+    return Outcome(*(a[:, drives] for a in outcome))
+
+
+def _unit(locals_: list[Local | str]) -> float:
+    """The smallest size of the cost among the starts: the penalty is measured against it."""
+    costs = [abs(x.cost) for x in locals_ if not isinstance(x, str) and x.cost != 0.0]
+    return min(costs, default=1.0)
+
+
+def resume(session: Session) -> None:
+    """Take a session up where its file left it; spent starts get their iterations anew.
+
+    Raises: InputError where there is no such file, or it belongs to another problem.
+    """
+    states = checkpoint.read(session)
+    kept = [s for s in states if s.best is not None]
+    if not kept:
+        return
+    here = session._look(np.array([s.z for s in kept]))
+    best = session._look(np.array([s.best for s in kept]))
+    revived = []
+    for s, now, top in zip(kept, here, best, strict=True):
+        if isinstance(now, str) or isinstance(top, str):
+            continue
+        again = dataclasses.replace(s, local=now, best_local=top)
+        if s.status == SPENT:
+            again = dataclasses.replace(again, status=RUNNING, iterations=0, reason="")
+        revived.append(again)
+    session.states = revived
