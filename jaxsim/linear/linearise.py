@@ -58,9 +58,9 @@ def linearise(
 
     theta_L (axes,) rad: the load angles held at rest; what holds them is found: command, or
     reference of the closed loop, deflections, law states. contact: +1, 0 or -1 per axis (positive
-    contact, gap, negative contact), also where its rest lies outside it; None: as the guards of
-    a start at rest say. modes: signs of other surfaces by
-    the names of `ClosedLoop.surface_names`. d_L (axes,) Nm: steady load torques.
+    contact, gap, negative contact), also where its rest lies outside it; None: as the guards of a
+    start at rest say. modes: signs of other surfaces by the names of `ClosedLoop.surface_names`.
+    d_L (axes,) Nm: steady load torques.
 
     Inputs of the result: reference (or command, for a drive), d_L, tau_d (Nm, motor shaft).
     Outputs: the signals of `jaxsim.loop.Outputs` but P_loss and contact. States: theta_L, omega_L,
