@@ -212,7 +212,9 @@ def _modes(flat: _Flat) -> dict[Signs, _Affine] | None:
     generic = 0.7 + 0.3 * np.sin(np.arange(n + 2.0))
     value, slope = (np.asarray(v) for v in _jacobians(flat, jnp.zeros(n + 2), signs))
     _, elsewhere = _jacobians(flat, jnp.asarray(generic), signs)
-    if not all(_same(*pair) for pair in zip(slope, np.asarray(elsewhere), strict=True)):
+    # Guards without a mode, sign 0, may choose by value: they serve `locate` only.
+    known = [i for i, s in enumerate(combinations) if 0 not in s]
+    if not all(_same(slope[i], np.asarray(elsewhere)[i]) for i in known):
         return None
     maps = zip(combinations, value, slope, strict=True)
     return {signs: _Affine(*map_) for signs, *map_ in maps}
