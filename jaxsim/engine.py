@@ -201,16 +201,24 @@ class _Exit(NamedTuple):
 
 
 def _earliest_exit(
-    loop: ClosedLoop, modes: tuple[Scalar, ...], cubics: list[Cubic], ignore: Scalar
+    loop: ClosedLoop, modes: tuple[Scalar, ...], cubics: list[Cubic], h: Scalar, ignore: Scalar
 ) -> _Exit:
-    """Which surface is left first. The share is polished for the surface chosen only: a wrong
-    choice among several shows on the landing trial, which is then rejected in turn."""
+    """Which surface is left first.
+
+    The share is polished for the surface chosen only: a wrong choice among several shows on the
+    landing trial, which is then rejected in turn. A surface that is already left at the start (its
+    guard jumped, as that of a stick does when a slip ends) is left at once.
+    """
     best, chosen = _Exit(jnp.asarray(False), jnp.asarray(-1, jnp.int32), jnp.inf), None
     for i, (surface, mode, c) in enumerate(zip(loop.surfaces, modes, cubics, strict=True)):
         c = c.scaled(jnp.where(mode == 0.0, 0.0, mode))
         tolerance = surface.tolerance(c.c0.dtype)
         leaves, s_out = hermite.leaves_positive(c, tolerance)
-        leaves = leaves & (ignore != i)
+        # What a landing leaves behind is far below the distance covered in _LANDED * dt.
+        residue = _LANDED * loop.dt * jnp.abs(c.c1) / jnp.where(h > 0.0, h, 1.0)
+        jumped = (c.c0 < -tolerance - residue) & (h > 0.0)
+        s_out = jnp.where(jumped, 0.0, s_out)
+        leaves = (leaves | jumped) & (ignore != i)
         inside = jnp.maximum(c.c0, 0.0)
         rough = jnp.where(leaves, s_out * inside / (inside - c.value(s_out) + 1e-300), jnp.inf)
         first = leaves & (rough < best.share)
@@ -256,7 +264,7 @@ def _landing(
     close = jnp.abs(delta) <= _LANDED * dt
     # A trial of no length cannot be corrected; it flips the mode where it stands.
     stuck = h <= _LANDED * dt * 1e-3
-    landed = aimed & (close | stuck) & (h + delta <= rest)
+    landed = aimed & ((close & (h + delta <= rest)) | stuck)
     # Clipping acts on the value only; the derivative of the event time stays whole.
     bounded = jnp.clip(jax.lax.stop_gradient(delta), -h, _LANDED * dt)
     correction = jnp.where(landed & close, delta + jax.lax.stop_gradient(bounded - delta), 0.0)
@@ -293,7 +301,7 @@ def _micro_step(
             for g0, r0, g1, r1 in zip(*before, values, slopes, strict=True)
         ]
         ignored = jnp.where(landing.landed, c.target, -1)
-        exit_ = jax.lax.stop_gradient(_earliest_exit(loop, modes, cubics, ignored))
+        exit_ = jax.lax.stop_gradient(_earliest_exit(loop, modes, cubics, h, ignored))
 
     finite = _all_finite(x)
     accept = active & finite & ~exit_.any
