@@ -53,14 +53,20 @@ def _chosen(names: list[str]) -> dict[str, Any]:
 
 
 def _listing() -> Any:
+    from rich.console import Group
     from rich.table import Table
 
     from jaxsim.findings import GROUPS
 
-    shown = Table("group", "paper", "what", "figures", title="gearlash reproduce NAME...")
+    tables: dict[str, Any] = {}
     for name, group in sorted(GROUPS.all().items()):
-        shown.add_row(name, group.paper, group.title, ", ".join(group.figures))
-    return shown
+        if group.paper not in tables:
+            shown = Table(title=group.paper, title_justify="left")
+            for column in ("group", "what", "figures"):
+                shown.add_column(column, no_wrap=column == "group")
+            tables[group.paper] = shown
+        tables[group.paper].add_row(name, group.title, ", ".join(group.figures))
+    return Group(*tables.values())
 
 
 def _reproduce(

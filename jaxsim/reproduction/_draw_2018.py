@@ -32,9 +32,9 @@ AXES = {
     "T_s": r"joint torque $T_s$ [Nm]",
     "T_M": r"motor torque $T_M$ [Nm]",
 }
-METHOD = f"Contacts and switchings located exactly, dt = {1e3 * DT:g} ms."
+METHOD = f"Contacts and switchings located exactly, dt\u00a0=\u00a0{1e3 * DT:g}\u00a0ms."
 _SIZE = (6.6, 4.0)
-_WIDTH = 116  # characters of a line of the caption
+_WIDTH = 118  # characters of a line of the caption
 
 
 @contextmanager

@@ -102,7 +102,7 @@ def _figure(theta_M: np.ndarray, theta_L: np.ndarray, time: np.ndarray, half_gap
                 xlabel=r"motor-side angle $\theta_M$ [mrad]",
                 ylabel=r"load-side angle $\theta_L$ [mrad]",
             )
-            _width(axes[0], theta_M, theta_L)
+            _width(axes[0], theta_M, theta_L, half_gap)
             axes[1].plot(time, 1e3 * (theta_M - theta_L), color=COLOURS["none"])
             for side in (-1.0, 1.0):
                 axes[1].axhline(side * 1e3 * half_gap, color="0.45", linestyle=":")
@@ -111,12 +111,9 @@ def _figure(theta_M: np.ndarray, theta_L: np.ndarray, time: np.ndarray, half_gap
     return draw
 
 
-def _width(ax: Any, theta_M: np.ndarray, theta_L: np.ndarray) -> None:
+def _width(ax: Any, theta_M: np.ndarray, theta_L: np.ndarray, half_gap: float) -> None:
     """An arrow across the loop at half height: the play."""
-    middle = 0.5 * (theta_L.min() + theta_L.max())
-    near = np.abs(theta_L - middle) < 0.02 * np.ptp(theta_L)
-    ends = 1e3 * theta_M[near].min(), 1e3 * theta_M[near].max()
+    x, y = (0.5e3 * (angle.min() + angle.max()) for angle in (theta_M, theta_L))
     arrow = {"arrowstyle": "<->", "color": "0.35", "shrinkA": 0.0, "shrinkB": 0.0}
-    ax.annotate("", (ends[0], 1e3 * middle), (ends[1], 1e3 * middle), arrowprops=arrow)
-    label = r"$2\,\beta$"
-    ax.text(0.5 * sum(ends), 1e3 * middle, label, ha="center", va="bottom", color="0.35")
+    ax.annotate("", (x - 1e3 * half_gap, y), (x + 1e3 * half_gap, y), arrowprops=arrow)
+    ax.text(x, y, r"$2\,\beta$", ha="center", va="bottom", color="0.35")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from jaxsim import pwa
 from jaxsim.drives.bench_2018 import bench_2018
-from jaxsim.findings import Findings, Group, Row, measured
+from jaxsim.findings import Findings, Group, Row, claim, measured
 from jaxsim.laws.switched_damping import SwitchedDamping
 from jaxsim.reproduction import _bench_2018 as bench
 
@@ -27,7 +27,17 @@ class Poles(Group):
             for mode, poles in form.poles().items()
             if "contact-" not in mode
         }
-        return Findings([row for mode in modes for row in _rows(mode, modes[mode])], {})
+        cells = claim(
+            "cells",
+            "cells of the closed loop",
+            "1",
+            len(form.cells),
+            len(form.cells) == 12,
+            "12",
+            "III.C.3: 'the state space divided into 12 cells'",
+            paper=12.0,
+        )
+        return Findings([*(row for mode in modes for row in _rows(mode, modes[mode])), cells], {})
 
 
 def _rows(mode: str, poles: pwa.Array) -> list[Row]:
