@@ -114,7 +114,8 @@ def _judged(row: Row, name: str) -> Row:
 def _thresholds() -> list[Row]:
     note = (
         "return map of small errors = 1, found by exact runs from theta_L = -1 urad, the motor at "
-        "the wall; the same at -0.1 mrad. Cycles of any size die out beyond it"
+        "the wall; the same at -0.1 mrad. Just beyond it the large oscillation after the step "
+        "dies out, too"
     )
     return [
         measured(
