@@ -1,8 +1,7 @@
 """Piecewise affine form of one-axis drives and closed loops; 2018 paper, section II.B.
 
 The matrices are derivatives of the engine's own field in each carried mode, exact because the
-field is affine there; nothing is written down a second time. They have JAX's default precision:
-`jaxsim.configure()` makes it float64.
+field is affine there; nothing is written down a second time.
 """
 
 from __future__ import annotations
@@ -18,14 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import linprog
 
-from jaxsim.drive import AxisState, Drive, Scalar
+from jaxsim.drive import Drive
 from jaxsim.errors import InputError
-from jaxsim.hybrid import Exact, Switch
-from jaxsim.law import Law, Measured
+from jaxsim.hybrid import Exact
+from jaxsim.linear.flat import FlatLoop
 from jaxsim.linear.state_space import by_real_part
-from jaxsim.loop import ClosedLoop, State, When, cast
+from jaxsim.loop import ClosedLoop, When
 from jaxsim.scenario import Scenario
-from jaxsim.signals.constant import Constant
 
 Signs = tuple[int, ...]
 Array = np.ndarray
@@ -107,7 +105,7 @@ def plant(drive: Drive) -> PiecewiseAffine:
 
     Raises: InputError for several axes, or a part that is not affine in each mode.
     """
-    return _form(drive, _Command(command_unit=drive.command_unit), None)
+    return _form(drive, None)
 
 
 def closed_loop(drive: Drive, law: Any) -> PiecewiseAffine:
@@ -115,14 +113,7 @@ def closed_loop(drive: Drive, law: Any) -> PiecewiseAffine:
 
     Raises: InputError for several axes, a sampled law, or a part that is not affine in each mode.
     """
-    return _form(drive, law, plant)
-
-
-class _Command(Law):
-    """The reference is the command: a drive without controller, seen as a closed loop."""
-
-    def command(self, state: Any, y: Measured, switches: tuple[Switch, ...]) -> Scalar:
-        return y.reference
+    return _form(drive, law)
 
 
 class _Affine(NamedTuple):
@@ -132,55 +123,28 @@ class _Affine(NamedTuple):
     slope: Array
 
 
-class _Flat(eqx.Module):
-    """The loop on the vectors x (paper's order first) and u = (reference, d_L)."""
+def _coordinates(flat: FlatLoop) -> Any:
+    """P with engine's x = P (paper's x): [theta_L, omega_L, theta_B, omega_M, ...]."""
+    P = jnp.eye(len(flat.start))
+    N = flat.loop.ratios[0]
+    head = [[0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1], [N, N, 0, 0]]
+    return P.at[:4, :4].set(jnp.asarray(head, P.dtype))
 
-    loop: ClosedLoop
-    extras: Any  # the states of motor, transmission and law, for their structure
 
-    @classmethod
-    def of(cls, drive: Drive, law: Any) -> _Flat:
-        loop = cast(ClosedLoop(drive, law, Scenario(), Exact(), dt=1e-4), jnp.zeros(()).dtype)
-        if loop.sampled:
-            fix = "give the continuous law (Sampled.law)"
-            raise InputError("law", "must be continuous for a PWA form", "a sampled law", fix)
-        start, _ = loop.start()
-        return cls(loop, (start.drive[0].motor, start.drive[0].transmission, start.law))
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        counts = zip(("motor", "transmission", "law"), self.extras, strict=True)
-        own = [f"{k}[{i}]" for k, tree in counts for i in range(len(jax.tree.leaves(tree)))]
-        return (*_PAPER, *own)
-
-    def everything(self, v: Any, signs: Any) -> Any:
-        """Rates of x, guards, command and contact at v = (x, u) in the modes `signs`."""
-        n = len(self.states)
-        x, modes, now = self._state(v[:n]), tuple(signs), When(v[0] * 0.0, v[0] * 0.0)
-        inputs = Scenario(Constant(v[n]), Constant(v[n + 1]))
-        loop = eqx.tree_at(lambda c: c.scenario, self.loop, inputs)
-        rates = loop.field(now, x, modes, ())
-        output = loop.outputs(now, x, modes, ())[0]
-        guards = loop.guards(now, x, modes, ())
-        return jnp.stack([*self._vector(rates), *guards, output.command, output.contact])
-
-    def _state(self, x: Any) -> State:
-        omega_L, omega_B, theta_L, theta_B, *rest = x
-        motor, transmission, law = jax.tree.unflatten(jax.tree.structure(self.extras), rest)
-        omega_M = self.loop.ratios[0] * (omega_L + omega_B)
-        return State((AxisState(theta_L, omega_L, theta_B, omega_M, motor, transmission),), law)
-
-    def _vector(self, rates: State) -> list[Any]:
-        axis = rates.drive[0]
-        omega_B = self.loop.drive.speed(0, axis)  # linear, so it also holds for rates
-        rest = jax.tree.leaves((axis.motor, axis.transmission, rates.law))
-        return [axis.omega_L, omega_B, axis.theta_L, axis.theta_B, *rest]
+def _everything(flat: FlatLoop, v: Any, signs: Any) -> Any:
+    """Rates of x, guards, command and contact at v = (x, u) in the modes `signs`."""
+    P, n, modes = _coordinates(flat), len(flat.start), tuple(signs)
+    x, u = P @ v[:n], jnp.append(v[n:], 0.0)  # no torque on the motor's shaft
+    now = When(v[0] * 0.0, v[0] * 0.0)
+    output = flat.under(u).outputs(now, flat.unravel(x), modes, ())[0]
+    rates = jnp.linalg.solve(P, flat.field(x, u, modes))
+    return jnp.stack([*rates, *flat.guards(x, u, modes), output.command, output.contact])
 
 
 @eqx.filter_jit
-def _jacobians(flat: _Flat, v: Any, signs: Any) -> tuple[Any, Any]:
+def _jacobians(flat: FlatLoop, v: Any, signs: Any) -> tuple[Any, Any]:
     def one(modes: Any) -> tuple[Any, Any]:
-        return flat.everything(v, modes), jax.jacfwd(flat.everything)(v, modes)
+        return _everything(flat, v, modes), jax.jacfwd(lambda w: _everything(flat, w, modes))(v)
 
     return jax.vmap(one)(signs)
 
@@ -190,25 +154,28 @@ def _same(a: Array, b: Array) -> bool:
     return bool(np.all(np.abs(a - b) <= _SAME * np.max(np.abs(a), initial=1e-300)))
 
 
-def _form(drive: Drive, law: Any, part: Any) -> PiecewiseAffine:
+def _form(drive: Drive, law: Any) -> PiecewiseAffine:
+    """The form under a law, or of the drive alone where law is None."""
     if drive.axes != 1:
         raise InputError("drive", "must have one axis for a PWA form", drive.axes, "take one axis")
-    flat = _Flat.of(drive, law)
-    modes = _modes(flat)
-    if modes is None:
-        if part is not None:
-            part(drive)  # if the drive is to blame, this says so
-        name, fix = ("law" if part else "drive"), "linearise it at an operating point instead"
-        value = type(law).__name__ if part else type(drive.load).__name__
-        raise InputError(name, "must be affine in each mode", value, fix)
-    return _Builder(flat, modes, closed=part is not None).form()
+    system = drive if law is None else ClosedLoop(drive, law, Scenario(), Exact(), dt=1e-4)
+    with jax.enable_x64(True):  # float64 whatever the caller runs in
+        flat = FlatLoop.of(system)
+        modes = _modes(flat)
+    if modes is not None:
+        return _Builder(flat, modes, closed=law is not None).form()
+    if law is not None:
+        _form(drive, None)  # if the drive is to blame, this says so
+    name, part = ("drive", drive.load) if law is None else ("law", law)
+    fix = "linearise it at an operating point instead"
+    raise InputError(name, "must be affine in each mode", type(part).__name__, fix)
 
 
-def _modes(flat: _Flat) -> dict[Signs, _Affine] | None:
+def _modes(flat: FlatLoop) -> dict[Signs, _Affine] | None:
     """The affine maps of all combinations of signs, 0 included; None where one is not affine."""
-    n, g = len(flat.states), len(flat.loop.surfaces)
+    n, g = len(flat.start), len(flat.loop.surfaces)
     combinations = list(itertools.product((1, -1, 0), repeat=g))
-    signs = jnp.asarray(combinations, flat.loop.ratios[0].dtype).reshape(-1, g)
+    signs = jnp.asarray(combinations, flat.start.dtype).reshape(-1, g)
     generic = 0.7 + 0.3 * np.sin(np.arange(n + 2.0))
     value, slope = (np.asarray(v) for v in _jacobians(flat, jnp.zeros(n + 2), signs))
     _, elsewhere = _jacobians(flat, jnp.asarray(generic), signs)
@@ -223,9 +190,9 @@ def _modes(flat: _Flat) -> dict[Signs, _Affine] | None:
 class _Builder:
     """Cells out of the affine maps of all modes."""
 
-    def __init__(self, flat: _Flat, modes: dict[Signs, _Affine], *, closed: bool) -> None:
+    def __init__(self, flat: FlatLoop, modes: dict[Signs, _Affine], *, closed: bool) -> None:
         self.flat, self.modes, self.closed = flat, modes, closed
-        self.n = n = len(flat.states)
+        self.n = n = len(flat.start)
         self.g = g = len(flat.loop.surfaces)
         first = next(iter(modes.values()))
         self.H, self.h = first.slope[n : n + g, :n], first.value[n : n + g]
@@ -240,7 +207,7 @@ class _Builder:
         reached = {s: owner for s, owner in owners.items() if owner is not None}
         command = {"Nm": "T_M", "V": "V"}[self.flat.loop.drive.command_unit]
         return PiecewiseAffine(
-            states=self.flat.states,
+            states=(*_PAPER, *self.flat.states()[4:]),
             inputs=("theta_Lref" if self.closed else command, "d_L"),
             surfaces=self.flat.loop.surface_names(),
             cells=cells,

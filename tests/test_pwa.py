@@ -143,7 +143,7 @@ def test_plant_obeys_1_to_5_wherever_it_is_located(seed: int) -> None:
 def test_closed_loop_has_12_cells_that_obey_20_to_23(seed: int) -> None:
     p, rng = random_numbers(seed), np.random.default_rng(200 + seed)
     form = pwa.closed_loop(drive_of(p), law_of(p))
-    assert form.states == ("omega_L", "omega_B", "theta_L", "theta_B", "law[0]", "law[1]")
+    assert form.states == ("omega_L", "omega_B", "theta_L", "theta_B", "law_0", "law_1")
     assert len(form.cells) == 12
     seen = set()
     for side, sign_B, sign_L in itertools.product(SIDES, (1, -1), (1, -1)):
