@@ -162,8 +162,8 @@ def _form(drive: Drive, law: Any) -> PiecewiseAffine:
     with jax.enable_x64(True):  # float64 whatever the caller runs in
         flat = FlatLoop.of(system)
         modes = _modes(flat)
-    if modes is not None:
-        return _Builder(flat, modes, closed=law is not None).form()
+        if modes is not None:
+            return _Builder(flat, modes, closed=law is not None).form()
     if law is not None:
         _form(drive, None)  # if the drive is to blame, this says so
     name, part = ("drive", drive.load) if law is None else ("law", law)
