@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -83,16 +84,40 @@ def against_reference(
     )
 
 
+class Bound(NamedTuple):
+    """What a claim asks of its number, in words and as the limits, which count."""
+
+    text: str
+    low: float
+    high: float
+
+
+def above(low: float) -> Bound:
+    """More than `low`."""
+    return Bound(f"> {low:g}", math.nextafter(low, math.inf), math.inf)
+
+
+def below(high: float) -> Bound:
+    """Less than `high`."""
+    return Bound(f"< {high:g}", -math.inf, math.nextafter(high, -math.inf))
+
+
+def near(centre: float, within: float) -> Bound:
+    """`centre`, up to `within`."""
+    text = f"{centre:.4g} +- {within:g}" if within else f"{centre:g}"
+    return Bound(text, centre - within, centre + within)
+
+
 def claim(
     name: str,
     quantity: str,
     unit: str,
     value: Any,
-    holds: Any,
-    rule: str,
+    bound: Bound,
     quote: str,
     *,
     paper: float | None = None,
 ) -> Row:
-    """A statement of the paper's text: `value` decides by `rule`, `holds` is the verdict."""
-    return Row(f"claim.{name}", quantity, unit, paper, float(value), rule, bool(holds), quote)
+    """A statement of the paper's text, `quote`: it holds if `value` is within `bound`."""
+    holds = bool(bound.low <= value <= bound.high)
+    return Row(f"claim.{name}", quantity, unit, paper, float(value), bound.text, holds, quote)

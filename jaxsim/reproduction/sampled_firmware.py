@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jaxsim.findings import Findings, Group, claim
+from jaxsim.findings import Findings, Group, above, claim
 from jaxsim.law import Law
 from jaxsim.reproduction import _bench_2018 as bench
 from jaxsim.reproduction._draw_2018 import METHOD, over_time
@@ -30,8 +30,7 @@ class SampledFirmware(Group):
             "first impact, conventional against none: less by",
             "%",
             less,
-            less > 0.0,
-            "> 0 ('reduced by damping addition')",
+            above(0.0),
             "IV: 'The first impact torque is reduced by damping addition'. Delay and differences "
             "damp MORE: 47.7 against 44.6 % without them",
         )
