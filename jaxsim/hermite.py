@@ -72,12 +72,16 @@ def leaves_positive(c: Cubic, tolerance: Scalar) -> tuple[Scalar, Scalar]:
     """Whether c falls below -tolerance on (0, 1], and a fraction at which it is negative.
 
     The fraction is that of the lowest interior point (a dip that both ends do not show) or 1.
+    A dip that begins at zero with zero slope is none: it is the error of the interpolation of what
+    rises from rest as t^4 or later (the load behind a spring), and c returns.
     """
     a, b = turning_points(c)
     value_a, value_b = c.value(a), c.value(b)
     s_dip = jnp.where(value_a < value_b, a, b)
     dips = (s_dip > 0.0) & (jnp.minimum(value_a, value_b) < -tolerance)
     ends = c.value(1.0) < -tolerance
+    from_rest = (jnp.abs(c.c0) <= tolerance) & (jnp.abs(c.c1) <= tolerance)
+    dips = dips & (ends | ~from_rest)
     return dips | ends, jnp.where(dips, s_dip, 1.0)
 
 

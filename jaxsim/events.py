@@ -1,0 +1,176 @@
+"""Events of one trial step: which surface is left first, and landing on it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxsim import hermite
+from jaxsim.hermite import Cubic
+from jaxsim.hybrid import Surface
+from jaxsim.loop import ClosedLoop, State, When
+
+Scalar = Any
+
+# A landing counts when the Newton correction left is below this share of dt; the correction is
+# first order, so what remains is its square: (1e-5*dt*frequency)^2, far below the step's error.
+_LANDED = 1e-5
+
+
+class Guards(NamedTuple):
+    """Values of all guards and their rates along the flow, at one instant."""
+
+    values: tuple[Scalar, ...]
+    rates: tuple[Scalar, ...]
+
+
+class Exit(NamedTuple):
+    """The earliest surface left on a trial: whether any, which, and at what share of the trial."""
+
+    any: Scalar
+    surface: Scalar
+    share: Scalar
+
+
+class Landing(NamedTuple):
+    """Whether the trial hit its target surface, the Newton correction, and the time left to it."""
+
+    landed: Scalar
+    correction: Scalar
+    ahead: Scalar
+
+
+def along(when: When, rates: State) -> tuple[When, State]:
+    """The tangent of time and state along the flow."""
+    return When(jnp.ones_like(when.t), jnp.zeros_like(when.t)), rates
+
+
+def guards(
+    loop: ClosedLoop, when: When, x: State, modes: tuple[Scalar, ...], held: Any, rates: State
+) -> Guards:
+    """All guards at an instant, given the rates of the state there."""
+    return Guards(
+        *jax.jvp(lambda w, s: loop.guards(w, s, modes, held), (when, x), along(when, rates))
+    )
+
+
+def choose(condition: Scalar, yes: Any, no: Any) -> Any:
+    """jnp.where over trees."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def pick(values: tuple[Scalar, ...], index: Scalar, otherwise: Scalar) -> Scalar:
+    """values[index]; a chain of selects, because stacking scalars costs ten times as much."""
+    for i, value in enumerate(values):
+        otherwise = jnp.where(index == i, value, otherwise)
+    return otherwise
+
+
+def first_modes(loop: ClosedLoop, when: When, x: State, held: Any) -> tuple[Scalar, ...]:
+    """The modes at the start: signs of the guards, and of their rates where a guard is zero.
+
+    Values come first, in two passes (guards may depend on modes). Rates are those of the modes
+    found so far: with all modes at 0 both sides of the gap would touch, and their torque would
+    decide the signs of the speeds.
+    """
+    modes = tuple(jnp.zeros_like(when.t) for _ in loop.surfaces)
+    for _ in range(2):
+        values = loop.guards(when, x, modes, held)
+        modes = _signs(loop.surfaces, modes, values, (jnp.zeros_like(when.t),) * len(values))
+    return settled(loop, when, x, modes, held)
+
+
+def settled(
+    loop: ClosedLoop, when: When, x: State, modes: tuple[Scalar, ...], held: Any
+) -> tuple[Scalar, ...]:
+    """Modes that are still 0 (guard identically zero so far) take the sign of value, then rate."""
+    if not modes:
+        return modes
+    rates = loop.field(when, x, modes, held)
+    return _signs(loop.surfaces, modes, *guards(loop, when, x, modes, held, rates))
+
+
+def _signs(
+    surfaces: tuple[Surface, ...], modes: tuple[Scalar, ...], values: Any, rates: Any
+) -> tuple[Scalar, ...]:
+    found = []
+    for surface, mode, g, rate in zip(surfaces, modes, values, rates, strict=True):
+        clear = jnp.abs(g) > surface.tolerance(g.dtype)
+        sign = jnp.where(clear, jnp.sign(g), jnp.sign(rate))
+        found.append(jax.lax.stop_gradient(jnp.where(mode == 0.0, sign, mode)))
+    return tuple(found)
+
+
+def landing(target: Scalar, end: Guards, h: Scalar, rest: Scalar, dt: float) -> Landing:
+    """delta = -g/(dg/dt) at the end of a trial of length h towards surface `target` (-1: none).
+
+    The derivative of delta is that of the event time. rest: time left that a landing may take.
+    """
+    g = pick(end.values, target, jnp.zeros_like(h))
+    slope = jax.lax.stop_gradient(pick(end.rates, target, jnp.zeros_like(h)))
+    known = jnp.abs(slope) > 0.0
+    delta = jnp.where(known, -g / jnp.where(known, slope, 1.0), 0.0)
+    aimed = target >= 0
+    close = jnp.abs(delta) <= _LANDED * dt
+    # A trial of no length cannot be corrected; it flips the mode where it stands.
+    stuck = h <= _LANDED * dt * 1e-3
+    landed = aimed & ((close & (h + delta <= rest)) | stuck)
+    # Clipping acts on the value only; the derivative of the event time stays whole.
+    bounded = jnp.clip(jax.lax.stop_gradient(delta), -h, _LANDED * dt)
+    correction = jnp.where(landed & close, delta + jax.lax.stop_gradient(bounded - delta), 0.0)
+    ahead = jax.lax.stop_gradient(jnp.where(aimed & (delta > 0.0), delta, jnp.inf))
+    return Landing(landed, correction, ahead)
+
+
+class _Candidate(NamedTuple):
+    """A surface as a trial sees it: its guard times its mode, and where that is negative."""
+
+    cubic: Cubic
+    negative_at: Scalar
+    tolerance: Scalar
+    leaves: Scalar
+    rough: Scalar  # share of the trial at which it is left, by a straight line
+
+
+def earliest_exit(
+    loop: ClosedLoop, modes: tuple[Scalar, ...], start: Guards, end: Guards, h: Scalar,
+    ignore: Scalar,
+) -> Exit:  # fmt: skip
+    """Which surface is left first on a trial of length h; `ignore` is the one just landed on.
+
+    The share is polished for the surface chosen only: a wrong choice among several shows on the
+    landing trial, which is then rejected in turn. Not differentiable.
+    """
+    best, chosen = Exit(jnp.asarray(False), jnp.asarray(-1, jnp.int32), jnp.ones_like(h)), None
+    rows = zip(loop.surfaces, modes, *start, *end, strict=True)
+    for i, (surface, mode, g0, r0, g1, r1) in enumerate(rows):
+        cubic = hermite.cubic(*jax.lax.stop_gradient((g0, r0, g1, r1, h))).scaled(mode)
+        now = _candidate(surface, cubic, h, _LANDED * loop.dt, ignore == i)
+        first = now.leaves if chosen is None else now.leaves & (now.rough < chosen.rough)
+        best = best._replace(any=best.any | now.leaves, surface=jnp.where(first, i, best.surface))
+        chosen = now if chosen is None else choose(first, now, chosen)
+    if chosen is None:
+        return best
+    share = hermite.first_root(chosen.cubic, chosen.negative_at, chosen.tolerance)
+    return best._replace(share=share)
+
+
+def _candidate(surface: Surface, c: Cubic, h: Scalar, near: float, ignored: Scalar) -> _Candidate:
+    """One surface; `near`: the time within which a landing ends, s.
+
+    A surface that is already left at the start (its guard jumped, as that of a stick does when a
+    slip ends) is left at once.
+    """
+    tolerance = jnp.full_like(h, surface.tolerance(h.dtype))
+    leaves, s_out = hermite.leaves_positive(c, tolerance)
+    # What a landing leaves behind is far below the distance covered in the time `near`.
+    residue = near * jnp.abs(c.c1) / jnp.where(h > 0.0, h, 1.0)
+    jumped = (c.c0 < -tolerance - residue) & (h > 0.0)
+    s_out = jnp.where(jumped, 0.0, s_out)
+    leaves = (leaves | jumped) & ~ignored
+    inside = jnp.maximum(c.c0, 0.0)
+    fall = jnp.where(leaves, inside - c.value(s_out), 1.0)
+    rough = jnp.where(leaves, s_out * inside / fall, jnp.inf)
+    return _Candidate(c, s_out, tolerance, leaves, rough)
