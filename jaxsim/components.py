@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from jaxsim.sampled import Sensors
 from jaxsim.scenario import Start
 
 Table = dict[str, Any]
+Leaf = Callable[[Any, Any], Any]
 
 
 class _Kind(typing.NamedTuple):
@@ -205,39 +206,45 @@ def override(component: Any, values: Mapping[str, Any], where: str) -> Any:
     return component
 
 
-def dump(component: Any) -> Any:
+def _as_is(value: Any, field: Any) -> Any:
+    return value
+
+
+def dump(component: Any, leaf: Leaf = _as_is) -> Any:
     """The table that `build` would make the same component of; sums are lists.
 
-    One axis needs no list: its law stands for itself.
-
+    One axis needs no list: its law stands for itself. leaf(value, field): what to write for a
+    value of a dataclass field (a file with comments wraps it).
 
     Raises: InputError for classes that a file cannot name (defined inside a function, say).
     """
     if isinstance(component, laws.Sum):
-        return [dump(part) for part in component.laws]
+        return [dump(part, leaf) for part in component.laws]
     if isinstance(component, signal.Sum):
-        return [dump(part) for part in component.parts]
+        return [dump(part, leaf) for part in component.parts]
     if isinstance(component, laws.Decentral) and component.axes == 1:
-        return dump(component.laws[0])
-    if isinstance(component, tuple | list):
-        return [dump(part) for part in component]
-    if isinstance(component, eqx.Module):
-        return _dump_fields(component)
-    if isinstance(component, str | bool | int | float):
-        return component
-    return np.asarray(component).tolist()
+        return dump(component.laws[0], leaf)
+    if isinstance(component, tuple):
+        return [dump(part, leaf) for part in component]
+    return _dump_fields(component, leaf)
 
 
-def _dump_fields(component: eqx.Module) -> Table:
+def _dump_fields(component: eqx.Module, leaf: Leaf) -> Table:
     name = _name_of(type(component))
     table: Table = {"type": name} if name else {}
     for field in dataclasses.fields(component):
         value = getattr(component, field.name)
-        if value is None or (field.name == "command_unit" and value == field.default):
+        if not field.init or value is None:
+            continue
+        if field.name == "command_unit" and value == field.default:
             continue
         if isinstance(component, Drive) and isinstance(value, tuple) and len(value) == 1:
             value = value[0]
-        table[field.name] = dump(value)
+        if isinstance(value, eqx.Module | tuple):
+            table[field.name] = dump(value, leaf)
+        else:
+            plain = value if isinstance(value, str | bool | int) else np.asarray(value).tolist()
+            table[field.name] = leaf(plain, field)
     return table
 
 

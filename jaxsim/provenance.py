@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
+import tomlkit
 
 _PACKAGES = ("gearlash", "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy")
 
@@ -42,7 +42,7 @@ def write_json(path: Path, content: Any) -> None:
 def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:
     """Tables as TOML, below a comment."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    _replace(path, head + tomli_w.dumps(content))
+    _replace(path, head + tomlkit.dumps(content))
 
 
 def _replace(path: Path, text: str) -> None:

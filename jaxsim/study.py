@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from jaxsim import tree
 from jaxsim.catalog import DRIVES
 from jaxsim.components import build, override, read_toml
 from jaxsim.drive import Drive
@@ -210,3 +211,39 @@ def _deadzone(options: _Run) -> Deadzone:
         return Plain()
     width = to_si(options.width, "rad", "run.width")
     return Smoothed(width, to_si(options.speed_width, "rad/s", "run.speed_width"))
+
+
+def owner_of(study: Study, name: str) -> tuple[str, str]:
+    """("law" or "drive", path): where a parameter is; `law.` or `drive.` may stand before it.
+
+    Raises: InputError for a name that neither has, with the nearest, or that both have.
+    """
+    head, _, tail = name.partition(".")
+    if head in ("law", "drive") and tail:
+        return head, tree.resolve(getattr(study, head), tail)
+    found = []
+    for owner in ("law", "drive"):
+        hits = [p for p in tree.paths(getattr(study, owner)) if f".{p}".endswith(f".{name}")]
+        found += [(owner, path) for path in hits]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        paths = [".".join(hit) for hit in found]
+        raise InputError(name, "must name one parameter", f"matches {paths}", "give the full path")
+    known = [p for owner in ("law", "drive") for p in tree.paths(getattr(study, owner))]
+    raise InputError.unknown("parameter", name, {*known, *(p.rsplit(".", 1)[-1] for p in known)})
+
+
+def with_values(study: Study, values: Mapping[str, Any]) -> Study:
+    """The study with parameters of its law and drive replaced; units in text are converted.
+
+    Raises: InputError for unknown or ambiguous names and for values that break a rule.
+    """
+    own: dict[str, dict[str, Any]] = {"law": {}, "drive": {}}
+    for name, value in values.items():
+        owner, path = owner_of(study, name)
+        own[owner][path] = value
+    return study._replace(
+        law=override(study.law, own["law"], "law"),
+        drive=override(study.drive, own["drive"], "drive"),
+    )
