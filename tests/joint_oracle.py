@@ -123,3 +123,79 @@ def linear_torque(k_o: float, k_i: float, size: float, times: np.ndarray) -> np.
         values.append(numerator @ x[:2])
         x = step @ x
     return np.array(values)
+
+
+@dataclass
+class Leg:
+    """The one-DoF leg under PI torque control with Stribeck friction and a voltage limit.
+
+    Event by event: `slip` is +1, -1 or 0 (stuck), `cut` is +1, -1 or 0 (within the supply).
+    """
+
+    limit: float = 4.0
+    step: float = 3.0
+    Fc: float = 0.010
+    Fs: float = 0.015
+    ws: float = 2.0
+
+    def parts(self, x: np.ndarray) -> tuple[float, float, float, float]:
+        """Joint torque, torque on the rotor but friction, wanted voltage, slip friction."""
+        q, _, motor, speed, current, integral = x
+        torque = 930.0 * (motor / N - q)
+        rotor = KT * current - 3.12575e-4 * speed - torque / N
+        wanted = 2.0 * (self.step - torque + 10.0 * integral)
+        return (
+            torque,
+            rotor,
+            wanted,
+            self.Fc + (self.Fs - self.Fc) * np.exp(-((speed / self.ws) ** 2)),
+        )
+
+    def rates(self, t: float, x: np.ndarray, slip: int, cut: int) -> list[float]:
+        q, w, _, speed, current, _ = x
+        torque, rotor, wanted, friction = self.parts(x)
+        volts = cut * self.limit if cut else wanted
+        return [
+            w,
+            (torque - 1.5 * w - 14.83 * q) / (3.6 * 0.42**2),
+            speed if slip else 0.0,
+            (rotor - slip * friction) / 2.21437e-5 if slip else 0.0,
+            (volts - R * current - KW * speed) / 4.9066e-4,
+            self.step - torque,
+        ]
+
+    def settle(self, x: np.ndarray, slip: int) -> int:
+        """Whether a rotor at rest sticks, or slips on."""
+        rotor = self.parts(x)[1]
+        return 0 if abs(rotor) <= self.Fs else int(np.sign(rotor))
+
+    def run(self, end: float) -> tuple[list[tuple[float, str]], np.ndarray]:
+        """Times and kinds of the events ("stop", "go", "cut", "uncut") and the final state."""
+        x, t, events = np.zeros(6), 0.0, []
+        slip = self.settle(x, 0)
+        cut = int(abs(self.parts(x)[2]) > self.limit) * int(np.sign(self.parts(x)[2]))
+        while t < end:
+
+            def stops(t: float, x: np.ndarray, slip: int, cut: int) -> float:
+                return x[3] * slip if slip else self.Fs - abs(self.parts(x)[1])
+
+            def cuts(t: float, x: np.ndarray, slip: int, cut: int) -> float:
+                wanted = self.parts(x)[2]
+                return cut * wanted - self.limit if cut else self.limit - abs(wanted)
+
+            for event in (stops, cuts):
+                event.terminal, event.direction = True, -1
+            piece = solve_ivp(
+                self.rates, (t, end), x, "DOP853", args=(slip, cut), events=(stops, cuts),
+                rtol=1e-11, atol=1e-13, max_step=1e-3,
+            )  # fmt: skip
+            assert piece.success, piece.message
+            t, x = float(piece.t[-1]), piece.y[:, -1]
+            if piece.t_events[0].size:
+                events.append((t, "stop" if slip else "go"))
+                x[3] = 0.0
+                slip = self.settle(x, slip) if slip else int(np.sign(self.parts(x)[1]))
+            elif piece.t_events[1].size:
+                events.append((t, "uncut" if cut else "cut"))
+                cut = 0 if cut else int(np.sign(self.parts(x)[2]))
+        return events, x

@@ -16,7 +16,8 @@ class MotorPosition(Law):
 
     Where the load stiffness is negative, the load falls away from any torque however well it is
     tracked. This spring at the motor holds it about the angle theta_M0 (motor side), and gives
-    up torque tracking at low frequencies for it.
+    up torque tracking at low frequencies for it: beside it a torque law may have no integral
+    action (K_i = 0), or the integral wins and the load falls, only slower.
     """
 
     K_theta: Scalar = parameter("V/rad", "gain on the motor angle", rule=NON_NEGATIVE)

@@ -56,10 +56,16 @@ class Backlash(Transmission):
         push_minus = self.K * minus - self.D_B * omega_B
         return plus, minus, push_plus, push_minus
 
+    def _sides(self, switches: tuple[Switch, ...]) -> tuple[Switch, Switch]:
+        """The two contacts; one of them where half_gap = 0 and rest put both on the boundary."""
+        plus, minus = switches[:2]
+        other = 1.0 - plus.on * minus.on
+        return plus, Switch(minus.sign, minus.on * other, minus.gate * other)
+
     def torque(
         self, theta_B: Scalar, omega_B: Scalar, extra: Any, switches: tuple[Switch, ...]
     ) -> Scalar:
-        plus, minus = switches[:2]
+        plus, minus = self._sides(switches)
         push_plus, push_minus = (s.on for s in switches[2:]) if self.no_pull else (1.0, 1.0)
         spring_plus = plus.on * (theta_B - self.half_gap)
         spring_minus = minus.on * (theta_B + self.half_gap)
@@ -75,10 +81,12 @@ class Backlash(Transmission):
     def loss(
         self, theta_B: Scalar, omega_B: Scalar, extra: Any, switches: tuple[Switch, ...]
     ) -> Scalar:
-        damped = switches[0].gate + switches[1].gate
+        plus, minus = self._sides(switches)
+        damped = plus.gate + minus.gate
         if self.no_pull:
-            damped = switches[0].gate * switches[2].on + switches[1].gate * switches[3].on
+            damped = plus.gate * switches[2].on + minus.gate * switches[3].on
         return damped * self.D_B * omega_B * omega_B
 
     def contact(self, switches: tuple[Switch, ...]) -> Scalar:
-        return jnp.asarray(switches[0].on - switches[1].on)
+        plus, minus = self._sides(switches)
+        return jnp.asarray(plus.on - minus.on)
