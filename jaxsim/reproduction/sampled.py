@@ -29,7 +29,7 @@ class Sampled(Group):
 
     def find(self) -> Findings:
         found = bench.three(bench.scenario(bench.STEP), wrap=_sampled)
-        numbers = bench.rows("sampled", found, bench.STEP_METRICS, READING)
+        numbers = bench.sampled_rows("sampled", found, READING)
         numbers.append(bench.reduction_row("sampled", found, REFERENCE, READING))
         return Findings([*numbers, *_claims(found)], _figures(found))
 

@@ -23,7 +23,7 @@ class SampledFirmware(Group):
 
     def find(self) -> Findings:
         found = bench.three(bench.scenario(bench.STEP), wrap=_firmware)
-        numbers = bench.rows("sampled_firmware", found, bench.STEP_METRICS, READING)
+        numbers = bench.sampled_rows("sampled_firmware", found, READING)
         less = bench.reduction(found, "linear")
         verdict = claim(
             "impact_reduction_firmware",
