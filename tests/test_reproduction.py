@@ -189,6 +189,12 @@ def test_names_are_checked_before_anything_runs(names: list[str], message: str) 
         _chosen(names)
 
 
+def test_a_folder_that_cannot_be_made_is_said_first(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="--out: must lie in a folder"):
+        command(["step"], out=tmp_path / "file" / "below")
+
+
 class _Broken(Group):
     paper = title = "none"
 
