@@ -1,4 +1,8 @@
-"""The certificate of a gradient: against finite differences of the run itself, per parameter."""
+"""The certificate of a gradient: against finite differences of the located run, per parameter.
+
+Differences of a plain run would not do: it is smooth in between, so its wrong gradients agree with
+its own wrong differences.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ import numpy as np
 
 from jaxsim import batch, tree
 from jaxsim.errors import InputError
+from jaxsim.hybrid import Deadzone, Exact
 from jaxsim.simulate import simulate
 from jaxsim.study import Study, owner_of
 
@@ -51,7 +56,7 @@ class _Gradients(NamedTuple):
 
 
 def certify(study: Study, parameters: Sequence[str], metrics: Sequence[str]) -> list[Row]:
-    """Compare forward mode, reverse mode and finite differences of the study's own run.
+    """Compare the gradients of the study's run with finite differences of the located run.
 
     parameters: names or paths in the law or the drive. metrics: names of numbers of a run.
 
@@ -140,10 +145,15 @@ def _differences(
         own = {path: table[:, j] for j, (o, path) in enumerate(owners) if o == owner}
         base = getattr(study, owner)
         trees.append(batch.spread(base, **own) if own else base)
-    numbers = np.asarray(_numbers(study, trees[0], trees[1], metrics))
+    located = study._replace(run=study.run._replace(deadzone=_located(study.run.deadzone)))
+    numbers = np.asarray(_numbers(located, trees[0], trees[1], metrics))
     pairs = numbers.reshape(len(metrics), len(STEPS), len(values), 2)
     widths = 2.0 * np.array(STEPS)[:, None] * scales
     return np.moveaxis((pairs[..., 0] - pairs[..., 1]) / widths, 1, 0)
+
+
+def _located(deadzone: Deadzone) -> Deadzone:
+    return deadzone if deadzone.located else Exact()
 
 
 def _row(

@@ -21,7 +21,7 @@ def command(
     law: Annotated[str | None, typer.Option(help="File to take the law from.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for certificate.json.")] = None,
 ) -> None:
-    """Check a study's gradients against finite differences of its own run."""
+    """Check a study's gradients against finite differences of the located run."""
     import jaxsim
 
     jaxsim.configure()
