@@ -117,8 +117,9 @@ def _own_classes(module: ModuleType) -> list[type]:
 
 
 METRICS = Catalog("metrics", "jaxsim.metrics", "jaxsim.metric:Metric")
-LAWS = Catalog("laws", "jaxsim.laws", "jaxsim.law:Law")
+LAWS = Catalog("laws", "jaxsim.laws", "jaxsim.law:Control")
 DRIVES = Catalog("drives", "jaxsim.drives", None)
+DERIVATIVES = Catalog("derivatives", "jaxsim.derivatives", "jaxsim.derivative:Derivatives")
 SIGNALS = Catalog("signals", "jaxsim.signals", "jaxsim.signal:Signal")
 MOTORS = Catalog("motors", "jaxsim.motors", "jaxsim.drive:Motor")
 TRANSMISSIONS = Catalog("transmissions", "jaxsim.transmissions", "jaxsim.drive:Transmission")

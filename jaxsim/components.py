@@ -14,9 +14,20 @@ import numpy as np
 
 from jaxsim import law as laws
 from jaxsim import sampled, signal, tree
-from jaxsim.catalog import LAWS, LOADS, MOTORS, SIGNALS, TRANSMISSIONS, Catalog, snake_case
+from jaxsim.catalog import (
+    DERIVATIVES,
+    LAWS,
+    LOADS,
+    MOTORS,
+    SIGNALS,
+    TRANSMISSIONS,
+    Catalog,
+    snake_case,
+)
+from jaxsim.derivative import Derivatives
 from jaxsim.drive import Drive, Load, Motor, Transmission
 from jaxsim.errors import InputError
+from jaxsim.motors import dc
 from jaxsim.parameters import violations
 from jaxsim.quantity import to_si
 from jaxsim.sampled import Sensors
@@ -31,18 +42,23 @@ class _Kind(typing.NamedTuple):
 
     catalog: Catalog | None
     structural: dict[str, type]
-    several: type | None  # what a list of tables means
+    several: Callable[..., Any] | None  # what a list of tables means
 
 
 _SENSORS = {"true_speeds": sampled.TrueSpeeds, "encoders": sampled.Encoders}
 _STRUCTURE = {"sampled": sampled.Sampled, "decentral": laws.Decentral}
 KINDS: dict[type, _Kind] = {
-    laws.Law: _Kind(LAWS, _STRUCTURE, laws.Sum),
+    laws.Control: _Kind(LAWS, _STRUCTURE, laws.total),
+    laws.Law: _Kind(LAWS, _STRUCTURE, laws.total),
+    Derivatives: _Kind(DERIVATIVES, {}, None),
     signal.Signal: _Kind(SIGNALS, {}, signal.Sum),
     Motor: _Kind(MOTORS, {}, None),
     Transmission: _Kind(TRANSMISSIONS, {}, None),
     Load: _Kind(LOADS, {}, None),
     Sensors: _Kind(None, _SENSORS, None),
+    dc.Ripple: _Kind(None, {"ripple": dc.Ripple}, None),
+    dc.Stribeck: _Kind(None, {"stribeck": dc.Stribeck}, None),
+    dc.Supply: _Kind(None, {"supply": dc.Supply}, None),
     Start: _Kind(None, {"start": Start}, None),
     Drive: _Kind(None, {"drive": Drive}, None),
 }
@@ -218,7 +234,7 @@ def dump(component: Any, leaf: Leaf = _as_is) -> Any:
 
     Raises: InputError for classes that a file cannot name (defined inside a function, say).
     """
-    if isinstance(component, laws.Sum):
+    if isinstance(component, laws.Sum | laws.JointSum):
         return [dump(part, leaf) for part in component.laws]
     if isinstance(component, signal.Sum):
         return [dump(part, leaf) for part in component.parts]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import abc
+import functools
+import operator
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -47,6 +49,11 @@ class Control(Parameters):
         if isinstance(self, Law) and isinstance(other, Law):
             return Sum((self, other))
         return JointSum((self, other))
+
+
+def total(parts: Iterable[Control]) -> Control:
+    """The sum of one or more laws."""
+    return functools.reduce(operator.add, parts)
 
 
 class Law(Control):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Plain, Switch, switch_all
-from jaxsim.law import Decentral, Law, Measured, Scalar
+from jaxsim.law import Control, Decentral, Law, Measured, Scalar
 
 
 class Sensors(eqx.Module):
@@ -79,7 +79,7 @@ class Sampled(eqx.Module):
     """
 
     law: Any = eqx.field(
-        converter=lambda v: Decentral((v,)) if isinstance(v, Law) else v, metadata={"base": Law}
+        converter=lambda v: Decentral((v,)) if isinstance(v, Law) else v, metadata={"base": Control}
     )
     period: float = eqx.field(static=True)
     delay: float = eqx.field(static=True, default=0.0)

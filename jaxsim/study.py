@@ -15,7 +15,7 @@ from jaxsim.components import build, override, read_toml
 from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact, Plain, Smoothed
-from jaxsim.law import Law, as_joint_law
+from jaxsim.law import Control, as_joint_law
 from jaxsim.loop import ClosedLoop
 from jaxsim.objective import Objective, read_objective
 from jaxsim.quantity import to_si
@@ -150,7 +150,7 @@ def _law(given: Any, folder: Path, drive: Drive) -> Any:
         rest = dict(given)
         table, place = _other(rest.pop("file"), "law", folder)
         return override(_law(table, place, drive), rest, "law")
-    return as_joint_law(build(Law, given, "law", drive), drive.axes)
+    return as_joint_law(build(Control, given, "law", drive), drive.axes)
 
 
 def _other(name: Any, section: str, folder: Path) -> tuple[Any, Path]:

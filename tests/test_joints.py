@@ -14,6 +14,7 @@ from scipy import signal as filters
 
 from jaxsim import tree
 from jaxsim.batch import spread
+from jaxsim.components import build, dump
 from jaxsim.derivative import Derivatives
 from jaxsim.derivatives.butterworth import Butterworth, ButterworthDifferences
 from jaxsim.derivatives.levant import Levant
@@ -23,7 +24,7 @@ from jaxsim.drives.leg_2014 import leg_2014
 from jaxsim.drives.two_link_arm_2014 import two_link_arm_2014
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Exact
-from jaxsim.law import Decentral, Measured
+from jaxsim.law import Control, Decentral, Measured
 from jaxsim.laws.lead import Lead
 from jaxsim.laws.linear_damping import LinearDamping
 from jaxsim.laws.motor_position import MotorPosition
@@ -524,3 +525,18 @@ def test_motor_position_feedback_holds_a_load_that_torque_control_drops() -> Non
     assert len(stable) == 10
     assert stable.real.max() < -2.0
     assert held(1.0).real.max() > 0.0
+
+
+def test_joint_laws_and_motors_survive_a_file() -> None:
+    lead = Lead(PITorque(2.0, 12.5), *LEAD) + MotorPosition(0.1)
+    law = Decentral((lead, PITorque(2.0, 25.0))) + PositiveFeedback.design(ARM, alpha_j=0.5)
+    for base, whole in (
+        (Control, law),
+        (Control, Sampled(law, 1e-3)),
+        (Drive, rippled(ARM, AMPLITUDE)),
+        (Drive, leg_with_everything()),
+    ):
+        table = dump(whole)
+        assert dump(build(base, table, "file")) == table
+    design = {"type": "positive_feedback", "design": {"alpha_j": 0.5, "alpha_a": 1, "alpha_v": 1}}
+    assert dump(build(Control, design, "law", ARM)) == dump(law.laws[1])
