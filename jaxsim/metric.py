@@ -32,6 +32,10 @@ class Task(NamedTuple):
         """+1 or -1 towards the target; 0 where the reference does not step."""
         return jnp.sign(self.target - self.initial)
 
+    def begun(self, piece: Piece) -> Scalar:
+        """Whether a piece lies after the onset; its middle tells, ends meet it to rounding only."""
+        return piece.t + 0.5 * piece.h >= self.onset
+
 
 class Metric(eqx.Module):
     """A group of numbers computed together over one axis of a run.
@@ -64,12 +68,14 @@ def task_of(loop: ClosedLoop, axis: int, unit: str) -> Task:
     """The task of one axis, read off its reference signal; nan where that is not in `unit`."""
     reference = loop.scenario.reference[axis]
     like = jnp.zeros_like(jnp.asarray(loop.scenario.start[axis].theta_L))
+    onset = reference.onset()
     end = like + loop.scenario.duration
     about = like if (loop.law.reference_unit or "rad") == unit else like + jnp.nan
     return Task(
         initial=about + reference.value(*When(like, like - 1.0)),
         target=about + reference.value(*When(end, end)),
-        onset=like + reference.onset(),
+        # A reference that never moves is there from the start.
+        onset=like + jnp.where(jnp.isinf(onset), 0.0, onset),
         duration=end,
     )
 

@@ -35,7 +35,7 @@ class Signal(Parameters):
         return 0
 
     def onset(self) -> Scalar:
-        """When it first departs from its initial value, s."""
+        """When it first departs from its initial value, s; infinity if it never does."""
         return jnp.asarray(0.0)
 
     def __add__(self, other: Signal) -> Sum:

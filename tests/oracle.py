@@ -238,6 +238,9 @@ def _slope(poly: Sequence[float]) -> list[float]:
 
 
 def _root(poly: Sequence[float], a: float, b: float) -> float:
+    at_a, at_b = _value(poly, a), _value(poly, b)
+    if at_a * at_b > 0.0:  # callers add up the series in another order: an end is the root
+        return a if abs(at_a) < abs(at_b) else b
     return brentq(lambda x: _value(poly, x), a, b, xtol=1e-16, rtol=4 * np.finfo(float).eps)
 
 

@@ -22,7 +22,8 @@ class LimitCycle(Metric):
     limit_cycle_rad: peak to peak of theta_L; limit_cycle_Nm: largest |T_s|;
     limit_cycle_Hz: from the first to the last minimum of theta_L (omega_L rising through zero),
     0 with fewer than two of them; limit_cycle_growth: peak to peak in the second half of the
-    window over that in the first (1 for a cycle that lasts, < 1 for one that dies out).
+    window over that in the first (1 for a cycle that lasts and for rest, < 1 for one that dies
+    out, inf for one that begins in the second half).
     """
 
     values: ClassVar[tuple[str, ...]] = (
@@ -62,13 +63,16 @@ class LimitCycle(Metric):
         early, late, torque, count, first, last = fold
         whole = jnp.maximum(early[0], late[0]) - jnp.minimum(early[1], late[1])
         before, after = early[0] - early[1], late[0] - late[1]
+        moves = before > 0.0
         many = count >= 2
         span = jnp.where(many, last, 1.0) - jnp.where(many, first, 0.0)
         return {
             "limit_cycle_rad": whole,
             "limit_cycle_Nm": torque,
             "limit_cycle_Hz": jnp.where(many, (count - 1.0) / span, 0.0),
-            "limit_cycle_growth": after / jnp.where(before > 0.0, before, 1.0),
+            "limit_cycle_growth": jnp.where(
+                moves, after / jnp.where(moves, before, 1.0), jnp.where(after > 0.0, jnp.inf, 1.0)
+            ),
         }
 
 

@@ -19,11 +19,12 @@ class Response(Metric):
     """theta_L against a reference that steps from `initial` to `target`, in either direction.
 
     theta_max_rad, theta_min_rad: extremes of theta_L;
-    overshoot_rad, overshoot_pct: largest excursion beyond the target, 0 if it is never passed
-    (nan where the reference does not step);
+    overshoot_rad, overshoot_pct: largest excursion beyond the target, 0 if it is never passed;
     rise_10_90_s, t50_s: first passage of 10 to 90 %, and of 50 % (absolute time), inf if never;
     settle_2pct_s: from the step to the last entry into the 2 % band, inf if not inside at the end;
     final_error_rad: target minus theta_L at the end.
+
+    Overshoot, rise and settling look at what comes after the step, and are nan without one.
     """
 
     values: ClassVar[tuple[str, ...]] = (
@@ -40,11 +41,12 @@ class Response(Metric):
     def start(self) -> Any:
         never = jnp.zeros_like(self.task.target) + jnp.inf
         zero = jnp.zeros_like(never)
-        return -never, never, (never,) * len(_LEVELS), zero + self.task.onset, zero
+        return -never, never, zero, (never,) * len(_LEVELS), zero + self.task.onset, zero
 
     def update(self, fold: Any, piece: Piece) -> Any:
-        top, bottom, passages, settled, _ = fold
+        top, bottom, beyond, passages, settled, _ = fold
         theta = piece.cubic("theta_L")
+        excess = hermite.largest(theta.shifted(-self.task.target).scaled(self.task.direction))
         passages = tuple(
             jnp.minimum(old, self._passage(theta, piece, level))
             for old, level in zip(passages, _LEVELS, strict=True)
@@ -52,6 +54,7 @@ class Response(Metric):
         return (
             jnp.maximum(top, hermite.largest(theta)),
             jnp.minimum(bottom, hermite.smallest(theta)),
+            jnp.where(self.task.begun(piece), jnp.maximum(beyond, excess), beyond),
             passages,
             last_entry(theta, piece, self.task, settled),
             piece.after.theta_L,
@@ -62,15 +65,14 @@ class Response(Metric):
         task = self.task
         goal = task.initial + level * (task.target - task.initial)
         passes, s = hermite.crossing(theta.shifted(-goal).scaled(task.direction))
-        return jnp.where(passes, piece.t + s * piece.h, jnp.inf)
+        return jnp.where(passes & task.begun(piece), piece.t + s * piece.h, jnp.inf)
 
     def finish(self, fold: Any) -> dict[str, Scalar]:
-        top, bottom, passages, settled, last = fold
+        top, bottom, beyond, passages, settled, last = fold
         task = self.task
         size = jnp.abs(task.target - task.initial)
         steps = size > 0.0
-        beyond = jnp.where(task.direction > 0.0, top - task.target, task.target - bottom)
-        overshoot = jnp.where(steps, jnp.maximum(beyond, 0.0), jnp.nan)
+        overshoot = jnp.where(steps, beyond, jnp.nan)
         ten, fifty, ninety = passages
         rise = jnp.where(
             jnp.isfinite(ninety), jnp.where(jnp.isfinite(ninety), ninety, 0.0) - ten, jnp.inf
@@ -95,6 +97,6 @@ def last_entry(signal: Cubic, piece: Piece, task: Task, settled: Scalar) -> Scal
     for outside in (above, below):
         # An entry is the outside distance falling through zero: its negative rises.
         enters, s = hermite.crossing(outside.scaled(-1.0))
-        settled = jnp.where(enters, piece.t + s * piece.h, settled)
+        settled = jnp.where(enters & task.begun(piece), piece.t + s * piece.h, settled)
     after = jnp.abs(error.value(1.0)) > band
-    return jnp.where(after & (piece.t >= task.onset), jnp.inf, settled)
+    return jnp.where(after & task.begun(piece), jnp.inf, settled)

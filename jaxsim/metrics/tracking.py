@@ -15,7 +15,7 @@ class Tracking(Metric):
     """With e = target - theta_L from the onset of the reference to the end of the run:
 
     iae_rad_s = int |e| dt;  itae_rad_s2 = int (t - onset)|e| dt;
-    error_rms_rad = sqrt(int e^2 dt/(duration - onset)).
+    error_rms_rad = sqrt(int e^2 dt/(duration - onset)); nan if the onset is after the end.
 
     The target is the FINAL reference, not the filtered one. The sign changes of e are located,
     or gradients would be off by percents.
@@ -42,11 +42,12 @@ class Tracking(Metric):
             before = hermite.integral(function, 0.0, cut)
             return piece.h * first * (before - hermite.integral(function, cut, 1.0))
 
-        counts = piece.t + 0.5 * piece.h >= self.task.onset
+        counts = self.task.begun(piece)
         return (
             iae + jnp.where(counts, absolute(error.value), 0.0),
             itae + jnp.where(counts, absolute(weighted), 0.0),
-            square + jnp.where(
+            square
+            + jnp.where(
                 counts, piece.h * hermite.integral(lambda s: error.value(s) ** 2, 0.0, 1.0), 0.0
             ),
         )
@@ -54,8 +55,10 @@ class Tracking(Metric):
     def finish(self, fold: Any) -> dict[str, Scalar]:
         iae, itae, square = fold
         span = self.task.duration - self.task.onset
+        moved = square != 0.0  # the root has no derivative at zero; nan stays nan
+        rms = jnp.sqrt(jnp.where(moved, square, 1.0) / jnp.where(span > 0.0, span, 1.0))
         return {
             "iae_rad_s": iae,
             "itae_rad_s2": itae,
-            "error_rms_rad": jnp.sqrt(square / span),
+            "error_rms_rad": jnp.where(span > 0.0, jnp.where(moved, rms, 0.0), jnp.nan),
         }

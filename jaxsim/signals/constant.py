@@ -15,3 +15,6 @@ class Constant(Signal):
 
     def value(self, t: Scalar, inside: Scalar) -> Scalar:
         return jnp.zeros_like(t) + self.level
+
+    def onset(self) -> Scalar:
+        return jnp.asarray(jnp.inf)
