@@ -181,7 +181,9 @@ def test_arm_with_play_completes(alpha: float) -> None:
         for dt in (DT, DT / 2)
     )
     assert coarse.status == Status.OK
-    assert len(coarse.events()) > 2
+    # With full feedback the motor of joint 2 follows its load, which then never leaves the gap.
+    touched = {e.surface for e in coarse.events() if "contact" in e.surface}
+    assert touched == {"contact+[0]"} if alpha == 1.0 else len(touched) > 2
     first, again = (run.events()[0] for run in (coarse, fine))
     assert first.surface == again.surface == "contact+[0]"
     assert first.time == pytest.approx(again.time, rel=1e-6)
@@ -471,17 +473,18 @@ def test_filtered_derivatives_suit_the_leg_and_not_the_arm(continuous: bool) -> 
         law = law + PositiveFeedback.design(drive, source=source)
         return law if continuous else Sampled(law, 1e-3)
 
-    leg = simulate(
-        leg_2014(), closed(leg_2014(), (2.0, 10.0)), Scenario(Step(STEP), duration=1.0), dt=DT,
-        metrics=(),
-    )  # fmt: skip
-    assert abs(torque(leg)[-1] - STEP) < 0.01
-    arm = simulate(
-        ARM, closed(ARM, (2.0, 12.5), (2.0, 25.0)), arm_scenario(duration=4.0), dt=DT, metrics=(),
-        throw=False,
-    )  # fmt: skip
-    late = np.abs(torque(arm) - [STEP, 0.0])
-    assert not np.nanmax(late[-2000:]) < 3 * np.nanmax(late[2000:4000])
+    def worst(drive: Drive, law, scenario: Scenario, final: list[float]) -> np.ndarray:
+        """Largest torque error in each second."""
+        run = simulate(drive, law, scenario, dt=DT, metrics=(), throw=False)
+        error = np.abs(torque(run).reshape(len(run.time), -1) - final)[1:]
+        return np.nanmax(error.reshape(-1, 4000 * error.shape[1]), axis=1)
+
+    scenario = Scenario(Step(STEP), duration=4.0)
+    leg = worst(leg_2014(), closed(leg_2014(), (2.0, 10.0)), scenario, [STEP])
+    assert np.all(leg[1:] < 0.5 * leg[:-1])
+    gains = (2.0, 12.5), (2.0, 25.0)
+    arm = worst(ARM, closed(ARM, *gains), arm_scenario(duration=8.0), [STEP, 0.0])
+    assert arm[-1] > 10.0 * arm[1:4].max()
 
 
 def poles(drive: Drive, law, angles: tuple[float, float]) -> np.ndarray:
