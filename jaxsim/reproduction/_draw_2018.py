@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxsim.findings import Draw
-from jaxsim.plots import COLOURS, figure
+from jaxsim.plots import COLOURS
 from jaxsim.reproduction._bench_2018 import DT, ONSET, STEP
+from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 
 # As in the paper: without damping solid, conventional dashed. Its third style is not in the text.
@@ -33,24 +30,6 @@ AXES = {
     "T_M": r"motor torque $T_M$ [Nm]",
 }
 METHOD = f"Contacts and switchings located exactly, dt\u00a0=\u00a0{1e3 * DT:g}\u00a0ms."
-_SIZE = (6.6, 4.0)
-_WIDTH = 118  # characters of a line of the caption
-
-
-@contextmanager
-def panel(path: Path, title: str, caption: str, **options: Any) -> Iterator[Any]:
-    """One or more axes with a title above the first and the caption below all."""
-    options = {"size": _SIZE, **options}
-    with figure(path, **options) as axes:
-        first = axes if not isinstance(axes, np.ndarray) else axes.flat[0]
-        first.set_title(title)
-        yield axes
-        # constrained_layout keeps room for a supxlabel, which it does not for free text.
-        width = int(_WIDTH * options["size"][0] / _SIZE[0])
-        lines = textwrap.fill(caption, width, break_on_hyphens=False)
-        first.figure.supxlabel(
-            lines, x=0.012, ha="left", fontsize=7.5, color="0.3", linespacing=1.35
-        )
 
 
 def over_time(

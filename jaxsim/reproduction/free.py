@@ -11,7 +11,8 @@ from jaxsim.findings import Draw, Findings, Group, Row, below, claim, measured
 from jaxsim.laws.pd import PD
 from jaxsim.plots import COLOURS
 from jaxsim.reproduction import _bench_2018 as bench
-from jaxsim.reproduction._draw_2018 import METHOD, panel
+from jaxsim.reproduction._draw_2018 import METHOD
+from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 from jaxsim.scenario import Start
 

@@ -12,7 +12,7 @@ from jaxsim.findings import Draw, Findings, Group, against_paper, measured
 from jaxsim.laws.feedforward import Feedforward
 from jaxsim.plots import COLOURS
 from jaxsim.reproduction import _bench_2018 as bench
-from jaxsim.reproduction._draw_2018 import panel
+from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario
 from jaxsim.signals.multisine import Multisine

@@ -9,7 +9,8 @@ from jaxsim.drive import Drive
 from jaxsim.drives.bench_2018 import bench_2018
 from jaxsim.findings import Draw, Findings, Group, Row, below, claim, measured, near
 from jaxsim.reproduction import _bench_2018 as bench
-from jaxsim.reproduction._draw_2018 import AXES, LINES, METHOD, panel
+from jaxsim.reproduction._draw_2018 import AXES, LINES, METHOD
+from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 from jaxsim.transmissions.nordin import Nordin as NordinModel
 

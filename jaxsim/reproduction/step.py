@@ -10,7 +10,8 @@ import numpy as np
 from jaxsim.findings import Draw, Findings, Group, Row, above, against_reference, below, claim, near
 from jaxsim.plots import COLOURS
 from jaxsim.reproduction import _bench_2018 as bench
-from jaxsim.reproduction._draw_2018 import AXES, METHOD, over_time, panel
+from jaxsim.reproduction._draw_2018 import AXES, METHOD, over_time
+from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 
 READING = (
