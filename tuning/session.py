@@ -20,7 +20,7 @@ from tuning.spec import Spec
 
 SCREEN, FULL = "screen", "full"
 # Steps shorter than this, on the unit cube, end a start. The screen only has to rank.
-_TOLERANCE = {SCREEN: 1e-3, FULL: 1e-6}
+_TOLERANCE = {SCREEN: 1e-3, FULL: 3e-6}
 _SECOND_RADIUS = 0.05
 # Ends of the screen closer than this, on the unit cube, are the same.
 _SAME = 1e-2
@@ -81,8 +81,12 @@ class Session:
         done = max(s.iterations for s in self.states)
         best = self.best()
         cost = np.nan if best.best_local is None else best.best_local.cost * self.unit
-        total = done if self.done else self.spec.iterations
+        total = done if self.done else self._most()
         return Progress(self.stage, done, total, cost, best.rank[0])
+
+    def _most(self) -> int:
+        """Iterations of this stage; the screen, which only ranks, has half of them."""
+        return self.spec.iterations if self.stage == FULL else -(-self.spec.iterations // 2)
 
     def _turn(self) -> None:
         """The next piece of work: opening a stage, or an iteration of it."""
@@ -93,8 +97,7 @@ class Session:
             self._record([True] * len(points))
         elif any(running):
             tolerance = _TOLERANCE[self.stage]
-            moved = solver.advance(self.states, self._look, tolerance, self.spec.iterations)
-            self.states = moved
+            self.states = solver.advance(self.states, self._look, tolerance, self._most())
             self._record(running)
         elif self.stage == SCREEN:
             self._open_full()

@@ -45,7 +45,7 @@ class Spec(NamedTuple):
 
     count: drives, the study's own among them. starts: of the search, the study's own law among
     them. screen: drives on which all starts are tried before the best `finalists` see all.
-    iterations: at most so many in each of the two stages. seed: of drives and starts.
+    iterations: at most so many on all drives, half as many before. seed: of drives and starts.
     """
 
     free: tuple[Free, ...]

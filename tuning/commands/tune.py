@@ -1,0 +1,109 @@
+"""`gearlash tune`: gains for a batch of drives, with limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def command(
+    study: Annotated[str, typer.Argument(help="Study file, or the name of a shipped study.")],
+    out: Annotated[Path, typer.Option(help="Folder for law, tables and plots.")],
+    starts: Annotated[int | None, typer.Option(min=1, help="Starts of the search.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of drives and starts.")] = None,
+    law: Annotated[str | None, typer.Option(help="File to take the first law from.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
+) -> None:
+    """Tune gains by gradients over a batch of drives, under hard limits."""
+    import jaxsim
+
+    jaxsim.configure()
+    from rich.console import Console
+
+    from jaxsim.study import load
+    from tuning import session as sessions
+    from tuning.spec import read_spec
+
+    what = load(study, law=law)
+    session = sessions.Session(
+        what, read_spec(what, starts=starts, seed=seed), out / "checkpoint.json"
+    )
+    console = Console()
+    if resume:
+        with console.status("Taking up the search ..."):
+            sessions.resume(session)
+    _search(session, console)
+    result = _conclude(session, out, console)
+    if session.interrupted:
+        console.print("Interrupted: the best law so far is kept; --resume goes on.", style="yellow")
+        raise typer.Exit(130)
+    if not result.feasible:
+        raise typer.Exit(1)
+
+
+def _search(session: Any, console: Any) -> None:
+    """The search under a progress bar; the time left is that of all iterations still allowed."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Left
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=12),
+        TimeElapsedColumn(),
+        TextColumn("left <="),
+        Left(),
+        TextColumn("{task.fields[best]}"),
+    )
+    spec = session.spec
+    names = {"screen": f"{spec.starts} starts, {spec.screen} drives"}
+    names["full"] = f"best starts, {spec.count} drives" if spec.screen < spec.count else "search"
+    tasks: dict[str, Any] = {}
+    with Progress(*columns, console=console) as bar:
+        waiting = bar.add_task("compiling", total=1, best="")
+
+        def tell(p: Any) -> None:
+            bar.update(waiting, completed=1, visible=False)
+            if p.stage not in tasks:
+                for task in tasks.values():
+                    bar.update(task, completed=bar.tasks[task].total)
+                tasks[p.stage] = bar.add_task(names[p.stage], total=p.total, best="")
+            kept = "limits hold" if p.violation <= 0.0 else f"{100 * p.violation:.2g} % too much"
+            bar.update(
+                tasks[p.stage], completed=p.done, total=p.total, best=f"{p.cost:.4g}, {kept}"
+            )
+
+        session.search(tell)
+
+
+def _conclude(session: Any, out: Path, console: Any) -> Any:
+    """Score afresh, write everything, say how it went."""
+    from tuning import figures, report
+    from tuning.result import conclude, sentences
+
+    dt = session.study.run.dt
+    with console.status("Scoring afresh on the exact model ..."):
+        result = conclude(session)
+    report.write(session, result, out)
+    for table in report.screen(session, result):
+        console.print(table)
+    style = "bold green" if result.feasible else "bold red"
+    first, *rest = sentences(session, result)
+    console.print(first, style=style)
+    for line in rest:
+        console.print(line)
+    before, after, finer = (
+        result.cost(session.study, s) for s in (result.before, result.after, result.finer)
+    )
+    console.print(
+        f"Cost {before:.6g} -> {after:.6g}, scored by fresh runs of the exact model "
+        f"at dt = {dt:g} s; at dt = {0.5 * dt:g} s {finer:.6g}."
+    )
+    with console.status("Drawing ..."):
+        figures.draw(session, result, out)
+    console.print(
+        f"Wrote law.toml, result.json, table.csv, drives.csv, history.csv, 3 plots: {out}"
+    )
+    console.print(f"Certificate of its gradients: gearlash certify STUDY --law {out / 'law.toml'}")
+    return result
