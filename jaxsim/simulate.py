@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -72,7 +71,7 @@ def simulate(
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     trees = tuple(cast(t, dtype) for t in (drive, law, scenario))
     single = [t[0] if isinstance(t, Batch) else t for t in trees]
-    loop = ClosedLoop(*single, options.deadzone, dt)
+    loop = ClosedLoop(single[0], single[1], single[2], options.deadzone, dt)
     arrays = _run_batch(options, *trees) if size is not None else _run(options, *trees)
     problems = _problems(arrays["status"], (drive, law, scenario))
     run = Run(**arrays, surfaces=loop.surface_names(), problems=problems)
@@ -92,8 +91,9 @@ def _options(
     duration = (scenario.members if isinstance(scenario, Batch) else scenario).duration
     ticks = round(duration / dt)
     if abs(ticks * dt - duration) > 1e-6 * dt:
+        fitting = duration / max(ticks, 1)
         raise InputError(
-            "dt", f"must divide the duration {duration:g} s", dt, f"e.g. {duration / ticks:.9g}"
+            "dt", f"must divide the duration {duration:g} s", dt, f"e.g. {fitting:.9g}"
         )
     known = METRICS.all()
     names = tuple(v for group in known.values() for v in group.values)

@@ -191,7 +191,7 @@ def test_values_converge_with_order_at_least_3_5(record_property: Any) -> None:
 
 
 def test_a_negative_step_mirrors_the_positive_one() -> None:
-    """To rounding: the compiler contracts a*b + c differently for the two walls (1e-17 at first)."""
+    """To rounding: the compiler contracts a*b + c differently for the two walls."""
     for kind in LAWS:
         run = found(kind)
         for signal in STATES:

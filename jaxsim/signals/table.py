@@ -33,8 +33,8 @@ class Table(Signal):
                 "Table", "times and values must be lists of one length, at least 2",
                 (np.shape(self.times), np.shape(self.values)), "check the columns",
             )
-        if is_concrete(self.times) and not np.all(np.diff(np.asarray(self.times)) > 0.0):
-            at = int(np.argmin(np.diff(np.asarray(self.times))))
+        if is_concrete(self.times) and not np.all(np.diff(np.asarray(self.times, float)) > 0.0):
+            at = int(np.argmin(np.diff(np.asarray(self.times, float))))
             raise InputError(
                 "Table.times", "must increase", f"not after sample {at}", "sort or repair the log"
             )

@@ -1,0 +1,120 @@
+"""Sampled laws against SciPy's bilinear transform, fed with what the sensors saw."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import bench
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from jaxsim import batch
+from jaxsim.errors import InputError
+from jaxsim.run import Run
+from jaxsim.sampled import Encoders, Sampled
+from jaxsim.simulate import simulate
+
+PERIOD, DT = 4e-4, 2e-4
+EVERY = round(PERIOD / DT)
+COARSE = 2**14  # counts per revolution: one count is a twentieth of the gap
+GAINS = (0.0, -0.8)
+
+
+def _simulate(**options: object) -> Run:
+    """Without and with damping; the signals of every tick."""
+    laws = [Sampled(bench.law(kind), PERIOD, **options) for kind in ("none", "linear")]
+    return simulate(
+        bench.drive(), batch.stack(laws), bench.scenario(), dt=DT, metrics=("first_impact_Nm",)
+    )
+
+
+@cache
+def direct() -> Run:
+    return _simulate()
+
+
+@cache
+def late_and_coarse() -> Run:
+    return _simulate(delay=PERIOD, sensors=Encoders(COARSE))
+
+
+def _samples(run: Run, name: str, member: int) -> np.ndarray:
+    return np.asarray(run.signals[name])[member, ::EVERY]
+
+
+def _filtered(num: list[float], den: list[float], u: np.ndarray) -> np.ndarray:
+    b, a, _ = cont2discrete((num, den), PERIOD, "bilinear")
+    return lfilter(np.ravel(b), a, u)
+
+
+def _commands(reference: np.ndarray, theta_L: np.ndarray, omega_B: np.ndarray, K_B: float):
+    """Prefilter, PD and damping as three difference equations."""
+    p = bench.PAPER
+    cutoff = 2.0 * np.pi * p.f_ref
+    error = _filtered([cutoff], [1.0, cutoff], reference) - theta_L
+    pd = _filtered([p.K_D + p.K_P * p.tau_D, p.K_P], [p.tau_D, 1.0], error)
+    return pd + K_B * omega_B
+
+
+@pytest.mark.parametrize("member", [0, 1])
+def test_commands_are_those_of_the_bilinear_transform(member: int) -> None:
+    seen = (_samples(direct(), n, member) for n in ("theta_Lref", "theta_L", "omega_B"))
+    expected = _commands(*seen, GAINS[member])
+    # The reference is known at t = 0 too, where it is zero; the largest command is 3 Nm.
+    assert _samples(direct(), "command", member) == pytest.approx(expected, abs=1e-11)
+
+
+def test_the_command_is_held_between_samples() -> None:
+    command = np.asarray(direct().signals["command"])[:, :-1]
+    held = command.reshape(2, -1, EVERY)
+    assert np.array_equal(held[..., 1:], np.broadcast_to(held[..., :1], held[..., 1:].shape))
+
+
+@pytest.mark.parametrize("member", [0, 1])
+def test_encoders_round_angles_and_the_command_comes_a_period_late(member: int) -> None:
+    run, count = late_and_coarse(), 2.0 * np.pi / COARSE
+    theta_L, theta_M = (
+        count * np.round(_samples(run, name, member) / count) for name in ("theta_L", "theta_M")
+    )
+    theta_B = theta_M - theta_L
+    omega_B = np.diff(theta_B, prepend=0.0) / PERIOD
+    expected = _commands(_samples(run, "theta_Lref", member), theta_L, omega_B, GAINS[member])
+    assert np.ptp(np.diff(theta_L)) > 0.0
+    late = _samples(run, "command", member)
+    assert late[0] == 0.0
+    assert late[1:] == pytest.approx(expected[:-1], abs=1e-10)
+
+
+def test_the_step_at_2_5_khz_hits_44_57_percent_less() -> None:
+    """Errata, A: Tustin, zero-order hold, true speeds, no delay, step at sample 25."""
+    none, linear = np.asarray(direct().metrics["first_impact_Nm"])
+    assert 100.0 * (1.0 - linear / none) == pytest.approx(44.57, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("options", "dt", "field"),
+    [
+        ({"period": 4e-4}, 3e-4, "Sampled.period"),
+        ({"period": 4e-4, "delay": 1e-4}, 2e-4, "Sampled.delay"),
+    ],
+)
+def test_dt_must_divide_the_period_and_the_delay(options: dict, dt: float, field: str) -> None:
+    law = Sampled(bench.law("none"), **options)
+    with pytest.raises(InputError, match="must be a multiple of dt") as caught:
+        simulate(bench.drive(), law, bench.scenario(), dt=dt)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("build", "field"),
+    [
+        (lambda: Sampled(bench.law("none"), 0.0), "Sampled.period"),
+        (lambda: Sampled(bench.law("none"), PERIOD, -PERIOD), "Sampled.delay"),
+        (lambda: Encoders(0), "Encoders.counts"),
+    ],
+)
+def test_periods_delays_and_counts_are_checked(build: object, field: str) -> None:
+    with pytest.raises(InputError) as caught:
+        build()
+    assert caught.value.field == field
