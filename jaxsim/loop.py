@@ -204,11 +204,16 @@ class ClosedLoop(eqx.Module):
     ) -> tuple[Scalar, ...]:
         """Guard values of all `surfaces` at an instant."""
         axes, shares = self.drive.axes, share(modes, self._groups)
-        view = self._look(when, x, modes, held)
         values = self.drive.guards(x.drive, shares[:axes])
-        values += self._motor_guards(x, view.ys, view.commands, shares[axes : 2 * axes])
+        ys = self._measure(when, x.drive, self._drive_switches(x.drive, shares[:axes]))
+        # Only motors' guards need the command: a law with a model of the load is dear to trace.
+        if any(m.surfaces for m in self.drive.motor):
+            commands = self._look(when, x, modes, held).commands
+            values += self._motor_guards(x, ys, commands, shares[axes : 2 * axes])
+        else:
+            values += ((),) * axes
         if not self.sampled:
-            values += self.law.guards(x.law, view.ys)
+            values += self.law.guards(x.law, ys)
         return tuple(v for own in values for v in own)
 
     def field(self, when: When, x: State, modes: tuple[Scalar, ...], held: Any) -> State:

@@ -254,8 +254,8 @@ def test_stick_slip_and_saturation_agree_event_by_event() -> None:
     seen = [e for e in run.events() if not _second_half(e, run)]
     for mine, (time, kind) in zip(seen, events, strict=True):
         assert kind in kinds[mine.surface[:4]]
-        assert mine.time == pytest.approx(time, abs=1e-6)
-    assert float(run.signals["theta_L"][-1]) == pytest.approx(state[0], abs=1e-7)
+        assert mine.time == pytest.approx(time, abs=1e-8)
+    assert float(run.signals["theta_L"][-1]) == pytest.approx(state[0], abs=1e-9)
     assert torque(run)[-1] == pytest.approx(930.0 * (state[2] / 150.0 - state[0]), abs=AGREES)
     stuck = (np.asarray(run.time) > 0.8341) & (np.asarray(run.time) < 0.8514)
     assert np.abs(np.asarray(run.signals["omega_M"])[stuck]).max() < 1e-9
