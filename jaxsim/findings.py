@@ -69,7 +69,8 @@ def against_paper(
 ) -> Row:
     """A number that the paper prints; `within` is half a unit of its last digit, or as noted."""
     words = f"within {within:g} {unit} of the paper".replace(" 1 ", " ")
-    return Row(id, quantity, unit, paper, float(value), words, abs(value - paper) <= within, note)
+    ok = bool(abs(value - paper) <= within)
+    return Row(id, quantity, unit, paper, float(value), words, ok, note)
 
 
 def against_reference(

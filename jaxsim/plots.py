@@ -86,3 +86,11 @@ def responses(path: Path, runs: Mapping[str, Any], names: tuple[str, ...], title
         axes[0, 0].set_title(title)
         axes[0, 0].legend(ncols=len(runs))
         axes[-1, 0].set_xlabel("time [ms]")
+
+
+def locus(ax: Any, branches: Any, values: Any, name: str) -> None:
+    """Root-locus branches (values, poles) of a parameter: crosses begin, triangles end."""
+    for branch in np.asarray(branches).T:
+        ax.plot(branch.real, branch.imag, color="C0", linewidth=1.2)
+    for mark, row, value in (("x", branches[0], values[0]), ("^", branches[-1], values[-1])):
+        ax.plot(row.real, row.imag, mark, color="0.15", markersize=5, label=f"{name} = {value:.4g}")
