@@ -62,4 +62,4 @@ def _plain(content: Any) -> Any:
         return float(content) if np.isfinite(content) else None
     if isinstance(content, list | tuple):
         return [_plain(v) for v in content]
-    return _plain(np.asarray(content).tolist())
+    return _plain(content.tolist()) if hasattr(content, "tolist") else content

@@ -50,3 +50,18 @@ class Scenario(eqx.Module):
 
     def signals(self) -> tuple[Signal, ...]:
         return (*self.reference, *self.load_torque)
+
+    def ticks(self, dt: float) -> int:
+        """The number of integration steps of dt seconds.
+
+        Raises: InputError unless 0 < dt < 1 s and dt divides the duration.
+        """
+        if not 0.0 < dt < 1.0:
+            raise InputError("dt", "must be > 0 s and < 1 s", dt, "e.g. 2e-4")
+        count = round(self.duration / dt)
+        if abs(count * dt - self.duration) > 1e-6 * dt:
+            fitting = self.duration / max(count, 1)
+            raise InputError(
+                "dt", f"must divide the duration {self.duration:g} s", dt, f"e.g. {fitting:.9g}"
+            )
+        return count

@@ -84,17 +84,9 @@ def _options(
     scenario: Any, dt: float, deadzone: Deadzone | None, metrics: tuple[str, ...] | None,
     store: int | None,
 ) -> _Options:
-    if not 0.0 < dt < 1.0:
-        raise InputError("dt", "must be > 0 s and < 1 s", dt, "e.g. 2e-4")
     if store is not None and store < 1:
         raise InputError("store", "must be >= 1 or None", store, "e.g. 1 for every tick")
-    duration = (scenario.members if isinstance(scenario, Batch) else scenario).duration
-    ticks = round(duration / dt)
-    if abs(ticks * dt - duration) > 1e-6 * dt:
-        fitting = duration / max(ticks, 1)
-        raise InputError(
-            "dt", f"must divide the duration {duration:g} s", dt, f"e.g. {fitting:.9g}"
-        )
+    ticks = (scenario.members if isinstance(scenario, Batch) else scenario).ticks(dt)
     known = METRICS.all()
     names = tuple(v for group in known.values() for v in group.values)
     groups = choose(known, names if metrics is None else tuple(metrics))

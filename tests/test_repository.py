@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import pkgutil
 import subprocess
@@ -14,6 +15,8 @@ from pathlib import Path
 import pytest
 
 import jaxsim
+from jaxsim import _configure
+from jaxsim._configure import FLAGS
 from jaxsim.catalog import DRIVES, LAWS, METRICS, SIGNALS, Catalog, snake_case
 from jaxsim.errors import InputError
 
@@ -160,6 +163,35 @@ def test_configure_goes_on_where_the_cache_cannot_be_written(tmp_path: Path) -> 
     assert done.returncode == 0
     assert done.stdout.strip() == "None"
     assert "RuntimeWarning: no compilation cache" in done.stderr
+
+
+SET_FLAGS = "import os, jaxsim; jaxsim.configure(); print(os.environ.get('XLA_FLAGS', ''))"
+
+
+def _flags(home: Path, **environ: str) -> str:
+    done = _python(SET_FLAGS, XDG_CACHE_HOME=str(home), **{"XLA_FLAGS": "", **environ})
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_compiler_options_are_tried_once_and_then_remembered(tmp_path: Path) -> None:
+    first = _flags(tmp_path)
+    (record,) = (tmp_path / "gearlash").glob("*.json")
+    answers = json.loads(record.read_text())
+    assert len(answers) == 1
+    assert first == (" ".join(FLAGS) if all(answers.values()) else "")
+    record.write_text(json.dumps(dict.fromkeys(answers, False)))
+    assert _flags(tmp_path) == ""
+
+
+def test_compiler_options_of_the_user_stay(tmp_path: Path) -> None:
+    own = " ".join(flag.partition("=")[0] + "=mine" for flag in FLAGS)
+    assert _flags(tmp_path, XLA_FLAGS=own) == own
+
+
+def test_an_option_that_jaxlib_does_not_know_is_found_out() -> None:
+    assert _configure._probe(["--xla_cpu_prefer_vector_width=256"])
+    assert not _configure._probe(["--xla_no_such_option=1"])
 
 
 # --- the command ----------------------------------------------------------------------------------
