@@ -70,7 +70,8 @@ class Exact(Deadzone):
     """Events located inside the fixed step: right values AND right gradients.
 
     max_events is the least number of events that one run has room for (3 micro-steps each on top
-    of the ticks, rounded up); None gives 40 plus one per 20 ticks. A run that needs more says so in its status.
+    of the ticks, rounded up); None gives 40 plus one per 20 ticks. A run that needs more says so
+    in its status.
     """
 
     max_events: int | None = eqx.field(static=True, default=None)

@@ -179,13 +179,14 @@ def test_reverse_mode_is_forward_mode_and_neither_changes_a_value(kind: str) -> 
     assert back.values == pytest.approx(plain, rel=1e-12)
 
 
-def test_gradients_without_location_are_wrong_however_small_the_step(
-    record_property: Any,
-) -> None:
-    """Why exact mode exists: the saltation term is missing, and a smaller dt does not bring it."""
+def test_gradients_without_location_are_wrong_however_small_the_step() -> None:
+    """Why exact mode exists: the saltation term is missing, and a smaller dt does not bring it.
+
+    Measured for ITAE: 2040 times the true gradient at dt, 2240 times at dt/4; d(first impact)/d
+    half_gap is 0.49 and 0.66 of the true one.
+    """
     expected = expected_gradient("switched")
     gradient = run(forward, "switched", Plain(), 0.25 * DT).gradient
     norm = np.linalg.norm(expected, axis=1)
     error = np.linalg.norm(gradient - expected, axis=1) / norm
-    record_property("plain, dt/4: relative L2", dict(zip(OBJECTIVES, error, strict=True)))
-    assert error[ITAE] > 100.0 * L2
+    assert error[ITAE] > 100.0, dict(zip(OBJECTIVES, error, strict=True))

@@ -33,7 +33,8 @@ SPREAD = 0.3
 RELATIVE, STATE, ORDER = 1e-5, 1e-6, 3.5
 # On the way speeds are larger: 13 rad/s. Measured 1.9e-6.
 ON_THE_WAY = 5e-6
-# Of float32: angles of 0.3 rad carry 3e-8, the deflection 1e-9 rad of 8e-3; measured below 2e-5.
+# Of float32: angles of 0.3 rad carry 3e-8, the deflection 1e-9 rad of 8e-3. Measured: 2e-5 in the
+# overshoot, 2e-6 in torques.
 SINGLE = 1e-4
 
 # Metrics that issue 2 names, by the oracle's name.
@@ -178,7 +179,7 @@ def test_all_of_200_random_parameter_sets_complete_in_one_batch(kind: oracle.Law
     assert np.max(errors) <= 100 * RELATIVE
 
 
-def test_values_converge_with_order_at_least_3_5(record_property: Any) -> None:
+def test_values_converge_with_order_at_least_3_5() -> None:
     """Over many parameter sets, because events fall anywhere in a step and single errors jump."""
     kind, names = "switched", list(CASES)
     sizes = [
@@ -186,8 +187,7 @@ def test_values_converge_with_order_at_least_3_5(record_property: Any) -> None:
         for dt in (2 * DT, DT)
     ]
     order = np.log2(sizes[0] / sizes[1])
-    record_property("order", order)
-    assert order >= ORDER, sizes
+    assert order >= ORDER, sizes  # measured: 3.0e-8 -> 9.1e-10, order 5.1
 
 
 def test_a_negative_step_mirrors_the_positive_one() -> None:
@@ -199,17 +199,20 @@ def test_a_negative_step_mirrors_the_positive_one() -> None:
             assert values[0] == pytest.approx(-values[1], abs=1e-12), (kind, signal)
 
 
-def test_plain_mode_is_of_first_order_and_worse_by_magnitudes(record_property: Any) -> None:
-    """Reported, not hidden: without location the switched law loses three digits."""
+def test_plain_mode_is_of_first_order_and_worse_by_magnitudes() -> None:
+    """Reported, not hidden.
+
+    Measured at 4e-4 and 2e-4 s: medians of 8.6e-4 and 3.5e-4 (located:
+    1.6e-9); of the paper's run the entry speed is 5 % off, the first impact 0.35 %.
+    """
     names = [name for name in CASES if name.startswith("random")]
     located = np.median(state_errors("switched", found("switched"), names))
     sizes = [
         np.median(state_errors("switched", found("switched", dt, Plain()), names))
         for dt in (2 * DT, DT)
     ]
-    record_property("plain", {"median error at 4e-4, 2e-4 s": sizes, "located": located})
-    assert sizes[1] > 100.0 * located
-    assert 0.5 < np.log2(sizes[0] / sizes[1]) < 1.6
+    assert sizes[1] > 1e4 * located, (sizes, located)
+    assert 0.5 < np.log2(sizes[0] / sizes[1]) < 1.6, sizes
 
 
 def test_float32_keeps_four_digits() -> None:
