@@ -45,8 +45,8 @@ def loci(
             locus(ax, branches, values, name)
             found = transmission_zeros(system)
             ax.plot(
-                np.real(found), np.imag(found), "o", markerfacecolor="none", color="C1", markersize=8,
-                label="transmission zeros",
+                np.real(found), np.imag(found), "o", markerfacecolor="none", color="C1",
+                markersize=8, label="transmission zeros",
             )  # fmt: skip
             ax.axvline(0.0, color="0.35", linewidth=0.9)
             ax.set(xlabel="real [1/s]", ylabel="imaginary [1/s]", xlim=view.real, ylim=view.imag)
