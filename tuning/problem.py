@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -46,7 +49,6 @@ class Problem:
         self.metrics = spec.objective.metrics()
         most = max(spec.count, spec.screen * spec.starts)
         self._lanes = min(LANES, most)
-        self._run = jax.jit(jax.vmap(self._one))
 
     def drive(self, index: int) -> Any:
         """The drive of one row of `drives`."""
@@ -66,6 +68,13 @@ class Problem:
         """Why a run failed: the broken rule of the drive, or the status in words."""
         broken = violations(self.drive(index)) if status == Status.INVALID.value else []
         return "; ".join(broken) or Status(status).words
+
+    @cached_property
+    def _run(self) -> Any:
+        """The compiled call on (lanes, P) gains and (lanes, spreads) drives."""
+        gains = jnp.zeros((self._lanes, len(self.spec.free)))
+        drives = jnp.zeros((self._lanes, len(self.spec.spreads)))
+        return jax.jit(jax.vmap(self._one)).lower(gains, drives).compile()
 
     def _one(self, gains: Any, drive: Any) -> tuple[Any, Any, Any]:
         """Values, Jacobian and status of one run.
@@ -113,5 +122,15 @@ class Problem:
         """Any number of runs, in calls of one size; the last one is filled up by its last run."""
         count = len(gains)
         rows = np.minimum(np.arange(-(-count // self._lanes) * self._lanes), count - 1)
-        parts = [self._run(gains[part], drives[part]) for part in rows.reshape(-1, self._lanes)]
+        run = self._run  # compiled here, not by several threads at once
+
+        def part(chosen: np.ndarray) -> Any:
+            return jax.block_until_ready(
+                run(jnp.asarray(gains[chosen]), jnp.asarray(drives[chosen]))
+            )
+
+        # A call of XLA keeps one core busy: 128 runs take 1.45 s in a row and 0.98 s in threads
+        # (with 8 other processes on the 2 cores).
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            parts = list(pool.map(part, rows.reshape(-1, self._lanes)))
         return tuple(np.concatenate([np.asarray(p[k]) for p in parts])[:count] for k in range(3))

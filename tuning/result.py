@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,9 +104,12 @@ def conclude(session: Session) -> Result:
     gains = space.to_gains(spec.free, state.best)
     initial = space.gains_of(study.law, spec.free)
     drives = np.array([i for i in range(spec.count) if i not in session.excluded])
-    before, after = score(session, [initial, gains], drives, study.run.dt, None)
-    metrics = session.problem.metrics
-    (finer,) = score(session, [gains], drives, 0.5 * study.run.dt, metrics)
+    metrics, dt = session.problem.metrics, study.run.dt
+    with ThreadPoolExecutor(2) as pool:  # two programs, which compile side by side
+        both = pool.submit(score, session, [initial, gains], drives, dt, None)
+        half = pool.submit(score, session, [gains], drives, 0.5 * dt, metrics)
+        before, after = both.result()
+        (finer,) = half.result()
     prices = _prices(session)
     verdicts = tuple(
         _verdict(limit, price, after, finer, drives)
@@ -214,12 +218,12 @@ def _headline(result: Result) -> str:
     drives = f"all {count} drives" if count > 1 else "the drive"
     ended = "" if result.status == CONVERGED else f" The search ended early: {_ending(result)}."
     if result.feasible:
-        done = "Converged: " if result.status == CONVERGED else ""
-        return (
-            f"{done}every limit holds on {drives}.{ended}"
-            if result.verdicts
-            else (f"{done}no limits were set.{ended}")
-        )
+        kept = f"every limit holds on {drives}" if result.verdicts else "no limits were set"
+        whole = f"Converged: {kept}" if result.status == CONVERGED else kept.capitalize()
+        return f"{whole}.{ended}"
+    broken = np.flatnonzero(result.after.status | result.finer.status)
+    if len(broken) and all(v.holds for v in result.verdicts):
+        return f"NO FEASIBLE LAW was found: runs fail on {len(broken)} drives.{ended}"
     names = " and ".join(v.limit.metric for v in result.conflict)
     rule = "conflict" if len(result.conflict) > 1 else "cannot be kept"
     return f"NO FEASIBLE LAW was found: the limits on {names} {rule}; least violation met.{ended}"

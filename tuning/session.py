@@ -19,8 +19,7 @@ from tuning.solver import FAILED, RUNNING, SPENT, State
 from tuning.spec import Spec
 
 SCREEN, FULL = "screen", "full"
-# Steps shorter than this, on the unit cube, end a start. The screen only has to rank.
-_TOLERANCE = {SCREEN: 1e-3, FULL: 3e-6}
+_COARSE = 1e-3  # the screen only has to rank: steps shorter than this, on the unit cube, end it
 _SECOND_RADIUS = 0.05
 # Ends of the screen closer than this, on the unit cube, are the same.
 _SAME = 1e-2
@@ -96,7 +95,8 @@ class Session:
             self._open([State(z) for z in points])
             self._record([True] * len(points))
         elif any(running):
-            tolerance = _TOLERANCE[self.stage]
+            full = self.stage == FULL
+            tolerance = self.spec.tolerance if full else max(_COARSE, self.spec.tolerance)
             self.states = solver.advance(self.states, self._look, tolerance, self._most())
             self._record(running)
         elif self.stage == SCREEN:

@@ -45,7 +45,8 @@ class Spec(NamedTuple):
 
     count: drives, the study's own among them. starts: of the search, the study's own law among
     them. screen: drives on which all starts are tried before the best `finalists` see all.
-    iterations: at most so many on all drives, half as many before. seed: of drives and starts.
+    iterations: at most so many on all drives, half as many before. tolerance: a step shorter than
+    this, on the unit cube of the bounds, ends a start. seed: of drives and starts.
     """
 
     free: tuple[Free, ...]
@@ -55,6 +56,7 @@ class Spec(NamedTuple):
     screen: int
     finalists: int
     iterations: int
+    tolerance: float
     seed: int
     objective: Objective
 
@@ -66,6 +68,7 @@ class _Tune(BaseModel):
     starts: int = Field(ge=1, default=8)
     finalists: int = Field(ge=1, default=2)
     iterations: int = Field(ge=1, default=40)
+    tolerance: float = Field(gt=0.0, lt=1.0, default=3e-6)
     seed: int = Field(ge=0, default=0)
 
 
@@ -112,6 +115,7 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
         screen=min(drives.screen, drives.count),
         finalists=main.finalists,
         iterations=main.iterations,
+        tolerance=main.tolerance,
         seed=main.seed,
         objective=study.objective,
     )
@@ -198,6 +202,7 @@ def describe(spec: Spec) -> Mapping[str, Any]:
         "screen": spec.screen,
         "finalists": spec.finalists,
         "iterations": spec.iterations,
+        "tolerance": spec.tolerance,
         "seed": spec.seed,
         "objective": [list(map(list, part)) for part in spec.objective],
     }
