@@ -40,7 +40,8 @@ class Filtered(Group):
                          "Hz", cutoff, "k_o = 2, B_L = 0.01"), _by_state_space_cutoff(cutoff)),
             paper.two_ways(
                 measured("filtered.arm.stable_BL_Nms_rad", "B_L from which the arm is stable",
-                         "Nm s/rad", damping, "k_o = 2, cut-off 50 Hz"), _by_state_space_damping(damping)),
+                         "Nm s/rad", damping, "k_o = 2, cut-off 50 Hz"),
+                _by_state_space_damping(damping)),
         ]  # fmt: skip
         return Findings([*rows, *_sampled(), *_claims(rows)], {})
 
