@@ -73,6 +73,9 @@ def simulate(
     single = [t[0] if isinstance(t, Batch) else t for t in trees]
     loop = ClosedLoop(single[0], single[1], single[2], options.deadzone, dt)
     arrays = _run_batch(options, *trees) if size is not None else _run(options, *trees)
+    # jit hands dictionaries back in alphabetical order; people read them by group.
+    order = options.names or tuple(v for group in options.groups for v in group.values)
+    arrays["metrics"] = {name: arrays["metrics"][name] for name in order}
     problems = _problems(arrays["status"], (drive, law, scenario))
     run = Run(**arrays, surfaces=loop.surface_names(), problems=problems)
     if throw and is_concrete(run.status):
