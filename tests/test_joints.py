@@ -202,7 +202,8 @@ def certificate(cost, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def arm_cost(drive: Drive, names: list[str]):
-    law = arm_law(lead=LEAD)
+    joints = Decentral((PITorque(2.0, 12.5), PITorque(2.0, 25.0)))
+    law = joints + PositiveFeedback.design(ARM)
 
     def cost(values):
         named = dict(zip(names, values, strict=True))
@@ -216,7 +217,7 @@ def arm_cost(drive: Drive, names: list[str]):
     return cost
 
 
-GAINS = ["laws[0].laws[0].law.K_p", "laws[0].laws[1].law.K_i", "alpha_j", "alpha_a", "alpha_v"]
+GAINS = ["laws[0].laws[0].K_p", "laws[0].laws[1].K_i", "alpha_j", "alpha_a", "alpha_v"]
 VALUES = [2.0, 25.0, 1.0, 1.0, 1.0]
 
 
