@@ -128,7 +128,8 @@ def _rows(case: str, steps: Run, ripple: Run) -> list[Row]:
     peak = float(np.asarray(steps.signals["T_s"])[first, 0].max())
     over = 100.0 * (peak / paper.STEP - 1.0)
     numbers = [
-        ("overshoot_pct", "largest T_s before the reversal, beyond 3 Nm, joint 1", "%", over, READING),
+        ("overshoot_pct", "largest T_s before the reversal, beyond 3 Nm, joint 1", "%", over,
+         READING),
         ("entry_speed_rad_s", "omega_B at the first contact, joint 1", "rad/s",
          steps.metrics["entry_speed_rad_s"][0], READING),
         ("settling_ms", "settling of T_s before the reversal, 2 %, joint 1", "ms", settled(steps),
