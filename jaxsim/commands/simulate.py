@@ -25,7 +25,7 @@ def command(
     from jaxsim.simulate import simulate
     from jaxsim.study import load, with_values
 
-    what = with_values(load(study, law=law), _pairs(change or []))
+    what = with_values(load(study, law=law), pairs(change or []))
     run = simulate(
         what.drive,
         what.law,
@@ -47,7 +47,7 @@ def command(
         raise typer.Exit(1)
 
 
-def _pairs(changes: list[str]) -> dict[str, Any]:
+def pairs(changes: list[str]) -> dict[str, Any]:
     from jaxsim.errors import InputError
 
     values: dict[str, Any] = {}
