@@ -17,7 +17,7 @@ from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario
 
 UNITS = {
-    "theta_Lref": "rad",
+    "reference": "rad or Nm",
     "theta_L": "rad",
     "omega_L": "rad/s",
     "theta_B": "rad",
@@ -34,9 +34,9 @@ UNITS = {
 
 
 class Outputs(NamedTuple):
-    """All signals of one axis; names and units in `UNITS`."""
+    """All signals of one axis; names in this order and units in `UNITS`, those of a loop in `units`."""
 
-    theta_Lref: Scalar
+    reference: Scalar
     theta_L: Scalar
     omega_L: Scalar
     theta_B: Scalar
@@ -95,13 +95,17 @@ class ClosedLoop(eqx.Module):
         self.scenario, self.deadzone, self.dt = scenario, deadzone, dt
         if scenario.axes != drive.axes:
             raise InputError(
-                "scenario", f"must have {drive.axes} axes, as the drive", scenario.axes,
+                "scenario",
+                f"must have {drive.axes} axes, as the drive",
+                scenario.axes,
                 "give one signal per axis",
             )
         if self.law.command_unit != drive.command_unit:
             raise InputError(
-                "law", f"must command {drive.command_unit}, as the motor takes",
-                self.law.command_unit, "choose a law for this motor",
+                "law",
+                f"must command {drive.command_unit}, as the motor takes",
+                self.law.command_unit,
+                "choose a law for this motor",
             )
         if self.sampled:
             self.law.ticks(dt)
@@ -128,6 +132,13 @@ class ClosedLoop(eqx.Module):
         """The surfaces by owner: transmissions, motors, then (continuous) laws, axis by axis."""
         groups = [part.surfaces for part in (*self.drive.transmission, *self.drive.motor)]
         return groups if self.sampled else groups + list(self.law.surfaces)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of every signal of this loop: what it is asked for and what it commands, too."""
+        reference = self.law.reference_unit or UNITS["reference"]
+        own = {"reference": reference, "command": self.law.command_unit}
+        return UNITS | own
 
     def surface_names(self) -> tuple[str, ...]:
         """Names of the surfaces, with the axis where there are several axes."""
@@ -285,4 +296,3 @@ def cast(tree: Any, dtype: Any) -> Any:
         lambda v: jnp.asarray(v, dtype) if jnp.issubdtype(jnp.asarray(v).dtype, jnp.inexact) else v,
         tree,
     )
-

@@ -39,7 +39,8 @@ STYLE = {
     "lines.linewidth": 1.4,
 }
 LABELS = {
-    "theta_Lref": "reference [rad]",
+    "reference": "reference",
+    "command": "command",
     "theta_L": "load angle [rad]",
     "omega_L": "load speed [rad/s]",
     "theta_B": "deflection [rad]",

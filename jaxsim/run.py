@@ -10,7 +10,6 @@ import equinox as eqx
 import numpy as np
 
 from jaxsim.errors import InputError
-from jaxsim.loop import UNITS
 from jaxsim.status import Status
 
 
@@ -42,11 +41,8 @@ class Run(eqx.Module):
     event_rates: Any
     event_count: Any
     surfaces: tuple[str, ...] = eqx.field(static=True)
+    units: dict[str, str] = eqx.field(static=True)
     problems: dict[int, str] = eqx.field(static=True, default_factory=dict)
-
-    @property
-    def units(self) -> dict[str, str]:
-        return {name: UNITS[name] for name in self.signals}
 
     @property
     def batched(self) -> bool:
@@ -60,8 +56,7 @@ class Run(eqx.Module):
             lambda r: tuple(getattr(r, n) for n in _ARRAYS),
             picked,
             tuple(
-                {k: v[index] for k, v in value.items()} if isinstance(value, dict)
-                else value[index]
+                {k: v[index] for k, v in value.items()} if isinstance(value, dict) else value[index]
                 for value in (getattr(self, n) for n in _ARRAYS)
             ),
         )
@@ -94,7 +89,7 @@ class Run(eqx.Module):
             table = np.asarray(values).reshape(len(self.time), -1)
             for i, column in enumerate(table.T):
                 axis = f"[{i}]" if table.shape[1] > 1 else ""
-                columns[f"{name}{axis} [{UNITS[name]}]"] = column
+                columns[f"{name}{axis} [{self.units[name]}]"] = column
         with path.open("w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(columns)
@@ -102,6 +97,12 @@ class Run(eqx.Module):
 
 
 _ARRAYS = (
-    "time", "signals", "metrics", "status",
-    "event_times", "event_surfaces", "event_rates", "event_count",
+    "time",
+    "signals",
+    "metrics",
+    "status",
+    "event_times",
+    "event_surfaces",
+    "event_rates",
+    "event_count",
 )

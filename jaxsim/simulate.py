@@ -77,7 +77,7 @@ def simulate(
     order = options.names or tuple(v for group in options.groups for v in group.values)
     arrays["metrics"] = {name: arrays["metrics"][name] for name in order}
     problems = _problems(arrays["status"], (drive, law, scenario))
-    run = Run(**arrays, surfaces=loop.surface_names(), problems=problems)
+    run = Run(**arrays, surfaces=loop.surface_names(), units=loop.units, problems=problems)
     if throw and is_concrete(run.status):
         _raise_failures(run)
     return run

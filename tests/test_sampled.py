@@ -59,7 +59,7 @@ def _commands(reference: np.ndarray, theta_L: np.ndarray, omega_B: np.ndarray, K
 
 @pytest.mark.parametrize("member", [0, 1])
 def test_commands_are_those_of_the_bilinear_transform(member: int) -> None:
-    seen = (_samples(direct(), n, member) for n in ("theta_Lref", "theta_L", "omega_B"))
+    seen = (_samples(direct(), n, member) for n in ("reference", "theta_L", "omega_B"))
     expected = _commands(*seen, GAINS[member])
     # The reference is known at t = 0 too, where it is zero; the largest command is 3 Nm.
     assert _samples(direct(), "command", member) == pytest.approx(expected, abs=1e-11)
@@ -79,7 +79,7 @@ def test_encoders_round_angles_and_the_command_comes_a_period_late(member: int) 
     )
     theta_B = theta_M - theta_L
     omega_B = np.diff(theta_B, prepend=0.0) / PERIOD
-    expected = _commands(_samples(run, "theta_Lref", member), theta_L, omega_B, GAINS[member])
+    expected = _commands(_samples(run, "reference", member), theta_L, omega_B, GAINS[member])
     assert np.ptp(np.diff(theta_L)) > 0.0
     late = _samples(run, "command", member)
     assert late[0] == 0.0

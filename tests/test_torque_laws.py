@@ -83,10 +83,7 @@ def test_model_based_derivatives_are_those_of_the_true_motion() -> None:
     """(16)-(17) with the right model along a simulated motion: its own differences."""
     run = arm_run(arm_law(), amplitude=0.0)
     y = {name: np.asarray(values)[::4] for name, values in run.signals.items()}
-    ys = tuple(
-        Measured(**{n: y["theta_Lref" if n == "reference" else n][:, i] for n in Measured._fields})
-        for i in range(2)
-    )
+    ys = tuple(Measured(**{n: y[n][:, i] for n in Measured._fields}) for i in range(2))
     motion = ModelBased.design(ARM).motion((), ys)
     for i, own in enumerate(motion):
         late = slice(150, None)  # differences need a smooth motion

@@ -37,7 +37,7 @@ class TorqueTracking(Metric):
 
     def update(self, fold: Any, piece: Piece) -> Any:
         square, worst, beyond, settled = fold
-        torque, reference = piece.cubic("T_s"), piece.cubic("theta_Lref")
+        torque, reference = piece.cubic("T_s"), piece.cubic("reference")
         error = hermite.Cubic(*(r - T for r, T in zip(reference, torque, strict=True)))
         excess = torque.shifted(-self.task.target).scaled(self.task.direction)
         largest = jnp.maximum(hermite.largest(error), -hermite.smallest(error))
