@@ -34,7 +34,7 @@ UNITS = {
 
 
 class Outputs(NamedTuple):
-    """All signals of one axis; names in this order and units in `UNITS`, those of a loop in `units`."""
+    """All signals of one axis, in this order; units: `ClosedLoop.units`."""
 
     reference: Scalar
     theta_L: Scalar
