@@ -66,8 +66,13 @@ def _pole_zero(path: Path, analysis: Analysis) -> None:
             )  # fmt: skip
             ax.set_title(f"{analysis.study}: {mode.name}", fontsize=9.0)
             _symlog(ax, np.concatenate([found, mode.zeros]))
-        axes.flat[0].legend(loc="upper left")
+        _below(axes.flat[len(analysis.modes) - 1])
         _blank(axes, len(analysis.modes))
+
+
+def _below(ax: Any) -> None:
+    """The legend under the last panel: inside it would hide poles."""
+    ax.legend(loc="upper left", bbox_to_anchor=(-0.1, -0.2), ncols=3)
 
 
 def _blank(axes: Any, used: int) -> None:
@@ -95,7 +100,7 @@ def _loci(path: Path, analysis: Analysis, kind: str) -> None:
                     color="C1", label="zeros")  # fmt: skip
             ax.set_title(f"{analysis.study}: {mode.name}", fontsize=9.0)
             _symlog(ax, np.concatenate([branches.ravel(), mode.zeros]))
-        axes.flat[0].legend(loc="upper left")
+        _below(axes.flat[len(modes) - 1])
         _blank(axes, len(modes))
 
 
