@@ -69,8 +69,11 @@ def _metrics(run: Any, name: str) -> Any:
     shown = Table(title=name, title_justify="left")
     shown.add_column("metric")
     shown.add_column("value", justify="right")
+    undefined = [metric for metric, value in run.metrics.items() if np.all(np.isnan(value))]
     for metric, value in run.metrics.items():
-        shown.add_row(metric, "  ".join(f"{v:.6g}" for v in np.atleast_1d(value)))
+        if metric not in undefined:
+            shown.add_row(metric, "  ".join(f"{v:.6g}" for v in np.atleast_1d(value)))
+    shown.caption = f"not defined for this run: {', '.join(undefined)}" if undefined else None
     return shown
 
 

@@ -11,9 +11,9 @@ from jaxsim.engine import Piece
 from jaxsim.metric import Metric, Scalar
 
 _WINDOW = 0.4  # share of the run, at its end, in which the oscillation is measured
-# Shares of a run that no two minima lie within. Where omega_L is a switching surface, its zero is
-# landed on to rounding, and the pieces on both sides of the landing may each show a rise.
-_SAME = 1e-9
+# A speed below this has no sign, rad/s. Where omega_L is a switching surface its zero is landed on
+# to rounding: the pieces on both sides may both show a rise through zero, or neither.
+_STILL = 1e-9
 
 
 class LimitCycle(Metric):
@@ -36,19 +36,21 @@ class LimitCycle(Metric):
     def start(self) -> Any:
         zero = jnp.zeros_like(self.task.target)
         never = zero + jnp.inf
-        return (-never, never), (-never, never), zero, zero, never, -never
+        return (-never, never), (-never, never), zero, zero, never, -never, zero
 
     def update(self, fold: Any, piece: Piece) -> Any:
-        early, late, torque, count, first, last = fold
+        early, late, torque, count, first, last, sign = fold
         begin = (1.0 - _WINDOW) * self.task.duration
         middle = (1.0 - 0.5 * _WINDOW) * self.task.duration
         theta, omega, T_s = (piece.cubic(n) for n in ("theta_L", "omega_L", "T_s"))
         at = piece.t + 0.5 * piece.h
         inside = at >= begin
         high, low = hermite.largest(theta), hermite.smallest(theta)
-        rises, s = hermite.crossing(omega)
-        when = piece.t + s * piece.h
-        rises = rises & inside & (when > last + _SAME * self.task.duration)
+        crosses, s = hermite.crossing(omega)
+        when = piece.t + jnp.where(crosses, s, 0.0) * piece.h
+        end = omega.value(1.0)
+        now = jnp.where(jnp.abs(end) > _STILL, jnp.sign(end), sign)
+        rises = (sign < 0.0) & (now > 0.0) & inside
         size = jnp.maximum(hermite.largest(T_s), -hermite.smallest(T_s))
         return (
             _widen(early, high, low, inside & (at < middle)),
@@ -57,10 +59,11 @@ class LimitCycle(Metric):
             count + rises,
             jnp.where(rises, jnp.minimum(first, when), first),
             jnp.where(rises, when, last),
+            now,
         )
 
     def finish(self, fold: Any) -> dict[str, Scalar]:
-        early, late, torque, count, first, last = fold
+        early, late, torque, count, first, last, _ = fold
         whole = jnp.maximum(early[0], late[0]) - jnp.minimum(early[1], late[1])
         before, after = early[0] - early[1], late[0] - late[1]
         moves = before > 0.0
