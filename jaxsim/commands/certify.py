@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,25 +49,33 @@ def command(
 
 
 def table(rows: list[Any], name: str) -> Any:
-    """The rows for the screen; gradients are scaled, p * d metric/dp."""
+    """The rows for the screen, 80 columns wide; gradients are scaled, p * d metric/dp."""
+    from rich import box
     from rich.table import Table
 
     from jaxsim.certify import STEPS
 
-    shown = Table(title=f"Gradients of {name}, times the parameter's size", title_justify="left")
-    for column in ("metric", "parameter"):
-        shown.add_column(column)
-    for column in ("forward", "reverse", *(f"diff {h:g}" for h in STEPS), "error"):
-        shown.add_column(column, justify="right")
-    shown.add_column("verdict")
-    for r in rows:
-        numbers = [r.scale * v for v in (r.forward, r.reverse, *r.differences)]
+    shown = Table(title=f"{name}: p * d metric/dp, in SI", title_justify="left", box=box.SIMPLE)
+    shown.add_column("parameter", no_wrap=True)
+    for column in ("gradient", "-reverse", *(f"diff {h:g}" for h in STEPS[1:])):
+        shown.add_column(column, justify="right", no_wrap=True)
+    shown.add_column("", no_wrap=True)
+    names = _short(list(dict.fromkeys(r.parameter for r in rows)))
+    for i, r in enumerate(rows):
+        if i == 0 or r.metric != rows[i - 1].metric:
+            shown.add_row(f"[bold]{r.metric}[/]")
         style = {"wrong": "bold red", "jumps": "yellow"}.get(r.verdict, "green")
+        numbers = (r.forward, *r.differences[1:])
+        gradient, *differences = (f"{r.scale * v:.4g}" for v in numbers)
+        apart = f"{r.scale * (r.forward - r.reverse):.0e}"
         shown.add_row(
-            r.metric,
-            r.parameter.rsplit(".", 1)[-1],
-            *(f"{v:.5g}" for v in numbers),
-            f"{r.error:.1e}",
-            f"[{style}]{r.verdict}[/]",
+            f" {names[r.parameter]}", gradient, apart, *differences, f"[{style}]{r.verdict}[/]"
         )
     return shown
+
+
+def _short(paths: list[str]) -> dict[str, str]:
+    """The last step of each path, or all of it where two paths end alike."""
+    tails = {path: path.rpartition(".")[2] for path in paths}
+    counts = Counter(tails.values())
+    return {path: tail if counts[tail] == 1 else path for path, tail in tails.items()}
