@@ -55,9 +55,14 @@ def table(rows: list[Any], name: str) -> Any:
 
     from jaxsim.certify import STEPS
 
-    shown = Table(title=f"{name}: p * d metric/dp, in SI", title_justify="left", box=box.SIMPLE)
+    shown = Table(
+        title=f"{name}: p * d metric/dp, in SI",
+        title_justify="left",
+        box=box.SIMPLE,
+        padding=(0, 1, 0, 0),
+    )
     shown.add_column("parameter", no_wrap=True)
-    for column in ("gradient", "-reverse", *(f"diff {h:g}" for h in STEPS[1:])):
+    for column in ("gradient", "-reverse", *(f"diff {h:g}" for h in STEPS[1:3])):
         shown.add_column(column, justify="right", no_wrap=True)
     shown.add_column("", no_wrap=True)
     names = _short(list(dict.fromkeys(r.parameter for r in rows)))
@@ -65,7 +70,7 @@ def table(rows: list[Any], name: str) -> Any:
         if i == 0 or r.metric != rows[i - 1].metric:
             shown.add_row(f"[bold]{r.metric}[/]")
         style = {"wrong": "bold red", "jumps": "yellow"}.get(r.verdict, "green")
-        numbers = (r.forward, *r.differences[1:])
+        numbers = (r.forward, *r.differences[1:3])
         gradient, *differences = (f"{r.scale * v:.4g}" for v in numbers)
         apart = f"{r.scale * (r.forward - r.reverse):.0e}"
         shown.add_row(
