@@ -8,6 +8,7 @@ import importlib.util
 import os
 import platform
 import sys
+import warnings
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint
 from typing import Annotated, Any
@@ -93,12 +94,17 @@ def _source(module: str) -> str:
     return (get_source and get_source(name)) or ""
 
 
-def _complain(message: str) -> None:
+def _warn(message: Any, *_: Any) -> None:
+    """In place of Python's own format, which shows a line of our source."""
+    _complain(f"warning: {message}", "yellow")
+
+
+def _complain(message: str, style: str = "red") -> None:
     from rich.console import Console
     from rich.text import Text
 
     # Text, so that brackets in values are no markup; soft, so that it stays one line.
-    Console(stderr=True).print(Text(message, style="red"), soft_wrap=True)
+    Console(stderr=True).print(Text(message, style=style), soft_wrap=True)
 
 
 def _print_versions(wanted: bool) -> None:
@@ -129,4 +135,5 @@ def main() -> None:
     """Run the command."""
     # For a person's own laws and drives, "module:Name" in a study file; last, so it hides nothing.
     sys.path.append(os.getcwd())
+    warnings.showwarning = _warn
     app(prog_name="gearlash")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -16,6 +17,7 @@ from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact, Plain, Smoothed
 from jaxsim.law import Control, as_joint_law
+from jaxsim.linear.routh import remarks
 from jaxsim.loop import ClosedLoop
 from jaxsim.objective import Objective, read_objective
 from jaxsim.quantity import to_si
@@ -118,6 +120,8 @@ def from_table(table: dict[str, Any], folder: Path, name: str) -> Study:
     ClosedLoop(drive, law, scenario, run.deadzone, run.dt)  # do the parts fit together?
     wanted = table.get("objective")
     objective = None if wanted is None else read_objective(wanted)
+    for words in remarks(drive, law):
+        warnings.warn(words, stacklevel=2)
     title = table.get("name", name)
     return Study(title, drive, law, scenario, run, objective, table, folder)
 

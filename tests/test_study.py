@@ -19,7 +19,7 @@ from jaxsim.errors import InputError
 from jaxsim.law import Law
 from jaxsim.provenance import write_json, write_toml
 from jaxsim.quantity import to_si
-from jaxsim.study import Study, load, shipped, with_values
+from jaxsim.study import Study, load, locate, shipped, with_values
 
 TEXT = """
 name = "test"
@@ -194,3 +194,20 @@ def test_bench_preset_is_table_two() -> None:
     table = {"J_M": 8.78e-4, "D_M": 9.30e-2, "K": 3.00e2, "D_B": 1.00e-1, "half_gap": 7.80e-3}
     table |= {"J_L": 8.78e-4, "D_L": 3.60e-2}
     assert {name: float(tree.get(drive, name)) for name in table} == table
+
+
+@pytest.mark.parametrize(
+    ("gains", "words"),
+    [
+        ('K_p = "15 V/Nm", K_i = "12.5 1/s"', r"axis 0: K_p = 15 V/Nm .* K_p < 14\.1128; \(21\)"),
+        ('K_p = "2 V/Nm", K_i = "170 1/s"', r"axis 0: K_i = 170 1/s .* K_i < 166\.303 there"),
+    ],
+)
+def test_torque_gains_outside_the_stable_region_are_named(
+    gains: str, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "arm.toml"
+    text = locate("arm_torque").read_text("utf-8")
+    path.write_text(text.replace('K_p = "2 V/Nm", K_i = "12.5 1/s"', gains))
+    with pytest.warns(UserWarning, match=words):
+        load(str(path))
