@@ -17,7 +17,6 @@ from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact, Plain, Smoothed
 from jaxsim.law import Control, as_joint_law
-from jaxsim.linear.routh import remarks
 from jaxsim.loop import ClosedLoop
 from jaxsim.objective import Objective, read_objective
 from jaxsim.quantity import to_si
@@ -120,10 +119,19 @@ def from_table(table: dict[str, Any], folder: Path, name: str) -> Study:
     ClosedLoop(drive, law, scenario, run.deadzone, run.dt)  # do the parts fit together?
     wanted = table.get("objective")
     objective = None if wanted is None else read_objective(wanted)
-    for words in remarks(drive, law):
-        warnings.warn(words, stacklevel=2)
+    _remark(drive, law)
     title = table.get("name", name)
     return Study(title, drive, law, scenario, run, objective, table, folder)
+
+
+def _remark(drive: Drive, law: Any) -> None:
+    """Warn of gains that are allowed but hardly meant."""
+    if drive.command_unit != "V":
+        return
+    from jaxsim.linear.routh import remarks  # SciPy: 0.2 s that other drives need not pay
+
+    for words in remarks(drive, law):
+        warnings.warn(words, stacklevel=3)
 
 
 def _need(table: Mapping[str, Any], key: str) -> Any:
@@ -246,7 +254,7 @@ def with_values(study: Study, values: Mapping[str, Any]) -> Study:
     for name, value in values.items():
         owner, path = owner_of(study, name)
         own[owner][path] = value
-    return study._replace(
-        law=override(study.law, own["law"], "law"),
-        drive=override(study.drive, own["drive"], "drive"),
-    )
+    law = override(study.law, own["law"], "law")
+    drive = override(study.drive, own["drive"], "drive")
+    _remark(drive, law)
+    return study._replace(law=law, drive=drive)
