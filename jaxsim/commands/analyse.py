@@ -35,7 +35,8 @@ def command(
     what = with_values(load(study, law=law), pairs(change or []))
     found = analyse(what, None if at is None else _angles(at))
     console = Console()
-    console.print(_summary(found))
+    for first in range(0, len(found.modes), _COLUMNS):
+        console.print(_summary(found, found.modes[first : first + _COLUMNS]))
     console.print(_roots(found))
     for note in found.notes:
         console.print(f"Note: {note}", markup=False)
@@ -53,19 +54,22 @@ def _angles(text: str) -> list[float]:
         raise InputError("--at", "must be numbers", repr(text), "e.g. --at 0,0.5") from None
 
 
-def _summary(found: Any) -> Any:
+_COLUMNS = 3  # modes side by side, to fit a narrow screen
+
+
+def _summary(found: Any, modes: list[Any]) -> Any:
     """One column per mode."""
     from rich.table import Table
 
     where = ", ".join(f"{v:g}" for v in found.theta_L)
     shown = Table(title=f"{found.study} at theta_L = ({where}) rad", title_justify="left")
     shown.add_column("")
-    for mode in found.modes:
+    for mode in modes:
         shown.add_column(mode.name, justify="right")
-    rows = [_facts(mode) for mode in found.modes]
+    rows = [_facts(mode) for mode in modes]
     for name in rows[0]:
         shown.add_row(name, *(row[name] for row in rows))
-    if found.region is not None:
+    if found.region is not None and modes[0] is found.modes[0]:
         for name, values in _bounds(found.region).items():
             shown.add_row(name, _numbers(values), *[""] * (len(rows) - 1))
     return shown
