@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import json
 import os
@@ -38,11 +39,15 @@ def configure(*, x64: bool = True, cache: bool | Path = True, fast: bool = True)
     fast: add compiler options to the environment variable XLA_FLAGS, unless it names them
     already. A jaxlib that does not know an option ends the whole process, so each version is
     tried once in a process of its own and the answer kept beside the cache; without a writable
-    folder, and after JAX has computed something, they are left out.
+    folder, and after JAX has computed something, they are left out. It also makes one JAX device
+    of each core, over which batches are spread.
     """
     if fast:
         _set_flags()
     import jax
+
+    if fast and native_loops():
+        _one_device_per_core()
 
     jax.config.update("jax_enable_x64", x64)
     folder = _writable(_cache_folder(cache)) if cache else None
@@ -51,6 +56,28 @@ def configure(*, x64: bool = True, cache: bool | Path = True, fast: bool = True)
         # The defaults (1 s, and a size left to the backend) would skip most of our programs.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def native_loops() -> bool:
+    """Whether the compiler is told to make one native loop of a run."""
+    return "xla_cpu_small_while_loop_byte_threshold" in os.environ.get("XLA_FLAGS", "")
+
+
+def _one_device_per_core() -> None:
+    """Unless the person has chosen a number, or JAX has already computed something."""
+    import jax
+
+    chosen = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
+    if not chosen and jax.config.values["jax_num_cpu_devices"] < 0:
+        with contextlib.suppress(RuntimeError):
+            jax.config.update("jax_num_cpu_devices", _core_count())
+
+
+def _core_count() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _set_flags() -> None:

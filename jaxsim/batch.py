@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import PartitionSpec
 
 from jaxsim import tree
+from jaxsim._configure import native_loops
 from jaxsim.errors import InputError
+from jaxsim.parameters import is_concrete
+
+# Members that go through the loop together: the state of 64 stays in the innermost cache. 4096
+# runs of the bench on one core: 0.85 s at once, 0.56 s by 64 or 128, 0.59 s by 256.
+_LANES = 64
+_VECTOR = 8  # float64 numbers of one 512-bit instruction
 
 
 class Batch(eqx.Module):
@@ -81,24 +89,94 @@ def size_of(*trees: Any) -> int | None:
 
 
 def map_members(function: Callable[..., Any], *trees: Any) -> Any:
-    """`function(*trees)` for every member of the batches among the trees, by one `jax.vmap`."""
+    """`function(*trees)` for every member of the batches among the trees.
+
+    With the options of `jaxsim.configure()` in force, members go through in chunks, and the
+    chunks over the cores; else, and on other hardware than a CPU, by one `jax.vmap`. A member's
+    numbers are the same whatever the batch it is in.
+    """
+    own, shared, one = _separated(function, trees)
+    chunk = jax.vmap(one, in_axes=(0, None))
+    size = size_of(*trees) or 0
+    if size <= _LANES or not native_loops():
+        return chunk(own, shared)
+    layout = _layout(size, _cores())
+    rows = np.minimum(np.arange(layout.padded), size - 1).reshape(-1, layout.width)
+
+    def chunks(own_leaves: Any, shared_leaves: Any) -> Any:
+        return jax.lax.map(lambda leaves: chunk(leaves, shared_leaves), own_leaves)
+
+    results = _over_cores(chunks, layout.cores)([v[rows] for v in own], shared)
+    return jax.tree.map(lambda v: v.reshape(layout.padded, *v.shape[2:])[:size], results)
+
+
+def gathered(arrays: Any) -> Any:
+    """Results that lie spread over the cores, brought together as any other array of JAX."""
+
+    def one(v: Any) -> Any:
+        apart = is_concrete(v) and len(v.sharding.device_set) > 1
+        return jnp.asarray(np.asarray(v)) if apart else v
+
+    return jax.tree.map(one, arrays)
+
+
+def _separated(function: Callable[..., Any], trees: tuple[Any, ...]) -> tuple[Any, Any, Any]:
+    """Leaves with and without a leading axis, and `function` of one member's of each."""
     shared, own, rebuild = [], [], []
     for item in trees:
         leaves, structure = jax.tree.flatten(item.members if isinstance(item, Batch) else item)
         flags = item.axes if isinstance(item, Batch) else (False,) * len(leaves)
-        own.append([v for v, flag in zip(leaves, flags, strict=True) if flag])
-        shared.append([v for v, flag in zip(leaves, flags, strict=True) if not flag])
+        own += [jnp.asarray(v) for v, flag in zip(leaves, flags, strict=True) if flag]
+        shared += [v for v, flag in zip(leaves, flags, strict=True) if not flag]
         rebuild.append((structure, flags))
 
     def one(own_leaves: Any, shared_leaves: Any) -> Any:
-        built = []
-        for (structure, flags), mine, ours in zip(
-            rebuild, own_leaves, shared_leaves, strict=True
-        ):
-            mine, ours = iter(mine), iter(ours)
-            built.append(
+        mine, ours = iter(own_leaves), iter(shared_leaves)
+        return function(
+            *(
                 jax.tree.unflatten(structure, [next(mine) if f else next(ours) for f in flags])
+                for structure, flags in rebuild
             )
-        return function(*built)
+        )
 
-    return jax.vmap(one, in_axes=(0, None))(own, shared)
+    return own, shared, one
+
+
+class _Layout(NamedTuple):
+    """How a batch is cut: chunks of `width` members, `padded` in all, over so many cores."""
+
+    width: int
+    padded: int
+    cores: int
+
+
+def _layout(size: int, cores: int) -> _Layout:
+    """Equal chunks of at most `_LANES` members, and as many for each core."""
+    cores = min(cores, -(-size // _LANES))
+    chunks = cores * -(-size // (_LANES * cores))
+    width = -(-size // (chunks * _VECTOR)) * _VECTOR
+    return _Layout(width, chunks * width, cores)
+
+
+def _cores() -> int:
+    """JAX devices to spread over: one per core after `configure()`; 1 inside a user's mesh."""
+    return jax.local_device_count() if jax.sharding.get_abstract_mesh().empty else 1
+
+
+def _over_cores(function: Callable[..., Any], cores: int) -> Callable[..., Any]:
+    """`function(own, shared)` with the leading axis of `own` and of the result over cores.
+
+    Rejected: threads over compiled calls (not under a user's jit or grad); one loop per core in
+    one program (compiles once per core).
+    """
+    if cores == 1:
+        return function
+    axis = (jax.sharding.AxisType.Auto,)
+    mesh = jax.make_mesh((cores,), ("core",), axis, devices=jax.local_devices()[:cores])
+    split, whole = PartitionSpec("core"), PartitionSpec()
+    return jax.shard_map(
+        function, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False
+    )
+
+
+__all__ = ["Batch", "gathered", "map_members", "size_of", "spread", "stack"]

@@ -72,7 +72,7 @@ def simulate(
     trees = tuple(cast(t, dtype) for t in (drive, law, scenario))
     single = [t[0] if isinstance(t, Batch) else t for t in trees]
     loop = ClosedLoop(single[0], single[1], single[2], options.deadzone, dt)
-    arrays = _run_batch(options, *trees) if size is not None else _run(options, *trees)
+    arrays = _run(options, *trees) if size is None else batch.gathered(_run_batch(options, *trees))
     # jit hands dictionaries back in alphabetical order; people read them by group.
     order = options.names or tuple(v for group in options.groups for v in group.values)
     arrays["metrics"] = {name: arrays["metrics"][name] for name in order}
@@ -84,7 +84,10 @@ def simulate(
 
 
 def _options(
-    scenario: Any, dt: float, deadzone: Deadzone | None, metrics: tuple[str, ...] | None,
+    scenario: Any,
+    dt: float,
+    deadzone: Deadzone | None,
+    metrics: tuple[str, ...] | None,
     store: int | None,
 ) -> _Options:
     if store is not None and store < 1:
@@ -141,7 +144,10 @@ def _no_trajectory() -> dict[str, Any]:
     none = jnp.zeros((0,))
     codes = jnp.zeros((0,), jnp.int32)
     return {
-        "time": none, "signals": {}, "event_times": none, "event_surfaces": codes,
+        "time": none,
+        "signals": {},
+        "event_times": none,
+        "event_surfaces": codes,
         "event_rates": none,
     }
 
@@ -167,14 +173,18 @@ def _trajectory(
         for begin, rest in zip(initial, marks.outputs, strict=True)
     ]
     signals = {
-        name: getattr(axes[0], name) if len(axes) == 1
+        name: getattr(axes[0], name)
+        if len(axes) == 1
         else jnp.stack([getattr(a, name) for a in axes], axis=-1)
         for name in Outputs._fields
     }
     time = jnp.concatenate([jnp.zeros(1), jnp.asarray(wanted) * loop.dt]).astype(zero.dtype)
     return {
-        "time": time, "signals": signals, "event_times": marks.t,
-        "event_surfaces": marks.event, "event_rates": marks.rate,
+        "time": time,
+        "signals": signals,
+        "event_times": marks.t,
+        "event_surfaces": marks.event,
+        "event_rates": marks.rate,
     }
 
 
