@@ -13,7 +13,7 @@ def command(
     study: Annotated[str, typer.Argument(help="Study file, or the name of a shipped study.")],
     parameter: Annotated[
         list[str] | None,
-        typer.Option(help="Parameter of law or drive; repeat. Default: all of the law's."),
+        typer.Option(help="Parameter of law or drive; repeat. Default: all numbers of the law."),
     ] = None,
     metric: Annotated[
         list[str] | None,
@@ -28,7 +28,6 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
-    from jaxsim import tree
     from jaxsim.certify import certify
     from jaxsim.provenance import provenance, write_json
     from jaxsim.study import load
@@ -37,7 +36,7 @@ def command(
     wanted = what.objective.metrics() if what.objective else ("first_impact_Nm", "itae_rad_s2")
     console = Console()
     with console.status("Gradients forward, reverse and by differences ..."):
-        names = parameter or [f"law.{path}" for path in tree.paths(what.law)]
+        names = parameter or [f"law.{path}" for path in _numbers(what.law)]
         rows = certify(what, names, metric or wanted)
     console.print(table(rows, what.name))
     if out is not None:
@@ -46,6 +45,15 @@ def command(
         console.print(f"Wrote {out / 'certificate.json'}")
     if any(row.verdict == "wrong" for row in rows):
         raise typer.Exit(1)
+
+
+def _numbers(law: Any) -> list[str]:
+    """Paths of the parameters that are one number: not the arrays, such as Gammas per joint."""
+    import numpy as np
+
+    from jaxsim import tree
+
+    return [path for path in tree.paths(law) if np.ndim(tree.get(law, path)) == 0]
 
 
 def table(rows: list[Any], name: str) -> Any:
