@@ -1,4 +1,4 @@
-"""Physical parameters: array leaves with a unit and a rule that is checked once, at construction."""
+"""Physical parameters: array leaves with a unit and a rule, checked once, at construction."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 

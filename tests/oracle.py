@@ -376,9 +376,7 @@ class _Solver:
             poly[-1] = _restrict(poly[-1], length[-1] / flow.h)
         return t0, length, poly
 
-    def _first_exit(
-        self, poly: Array, guards: list[Guard]
-    ) -> tuple[int, float, Guard] | None:
+    def _first_exit(self, poly: Array, guards: list[Guard]) -> tuple[int, float, Guard] | None:
         values = poly @ np.array([g.row for g in guards]).T  # (n, DEGREE + 1, guards)
         for k, guard in enumerate(guards):
             if guard[:2] == self.landed:
@@ -402,9 +400,7 @@ class _Solver:
             self.t = float(t0[-1] + length[-1])
 
     def _land(self, guard: Guard) -> None:
-        self.events.append(
-            Event(self.t, guard.surface, guard.side, float(self.state[OMEGA_B]))
-        )
+        self.events.append(Event(self.t, guard.surface, guard.side, float(self.state[OMEGA_B])))
         self.mode = guard.follower
         self.landed = _seen_from_behind(guard)
 
@@ -569,9 +565,8 @@ class Solution:
         if abs(share[-1].sum() - 1.0) > BAND:
             return np.inf
         edges = (self._passages(share, 1.0 + sign * BAND) for sign in (1, -1))
-        return max((float(times[-1]) for times in edges if len(times)), default=self.task.t_step) - (
-            self.task.t_step
-        )
+        last = [float(times[-1]) for times in edges if len(times)]
+        return max(last, default=self.task.t_step) - self.task.t_step
 
     def _tracking(self) -> Metrics:
         """Integrals of |step - theta_L| from the step to the end, weight 1 and t - t_step."""

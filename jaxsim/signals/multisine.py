@@ -24,8 +24,10 @@ class Multisine(Signal):
         lengths = [np.shape(v)[-1:] for v in (self.amplitudes, self.frequencies, self.phases)]
         if len(set(lengths)) != 1 or lengths[0] == ():
             raise InputError(
-                "Multisine", "amplitudes, frequencies, phases must be lists of one length",
-                lengths, "give one of each per sine",
+                "Multisine",
+                "amplitudes, frequencies, phases must be lists of one length",
+                lengths,
+                "give one of each per sine",
             )
 
     def value(self, t: Scalar, inside: Scalar) -> Scalar:

@@ -30,8 +30,10 @@ class Table(Signal):
             raise InputError("Table.between", "must be hold or linear", self.between, "choose")
         if np.shape(self.times)[-1:] != np.shape(self.values)[-1:] or np.shape(self.times)[-1] < 2:
             raise InputError(
-                "Table", "times and values must be lists of one length, at least 2",
-                (np.shape(self.times), np.shape(self.values)), "check the columns",
+                "Table",
+                "times and values must be lists of one length, at least 2",
+                (np.shape(self.times), np.shape(self.values)),
+                "check the columns",
             )
         if is_concrete(self.times) and not np.all(np.diff(np.asarray(self.times, float)) > 0.0):
             at = int(np.argmin(np.diff(np.asarray(self.times, float))))
