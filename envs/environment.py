@@ -1,0 +1,173 @@
+"""Environments as pure functions on the engine: reset(key), step(state, action)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from envs.task import Seen, Task
+from jaxsim import engine
+from jaxsim.catalog import METRICS
+from jaxsim.errors import InputError
+from jaxsim.hybrid import Deadzone, Exact
+from jaxsim.law import Measured, as_joint_law
+from jaxsim.loop import ClosedLoop, When, cast
+from jaxsim.metric import choose, task_of
+from jaxsim.sampled import Encoders, Sensors
+from jaxsim.status import Status
+
+Scalar = Any
+
+# Room for events in one control period; a drive that has more of them does not arrive, and the
+# episode ends as failed. Rest against a wall of the gap makes one or two per millisecond.
+_EVENTS = 15
+# The price of a run that fails. Full torque all the time, the worst there is, costs about 260.
+FAILURE = 1000.0
+
+
+class State(NamedTuple):
+    """One episode between two control periods. `key` is that of the NEXT episode."""
+
+    loop: ClosedLoop
+    carry: engine.Carry
+    seen: Measured
+    action: tuple[Scalar, ...]
+    cost: Scalar
+    key: Any
+
+
+class Info(NamedTuple):
+    """status: `jaxsim.status.Status`; numbers: the metrics of the cost so far, SI units."""
+
+    status: Scalar
+    numbers: dict[str, Scalar]
+
+
+class Step(NamedTuple):
+    """What one step gives; terminated: the run failed; truncated: the time is over."""
+
+    state: State
+    observation: Any
+    reward: Scalar
+    terminated: Scalar
+    truncated: Scalar
+    info: Info
+
+
+class Environment(eqx.Module):
+    """A task on the engine. Everything is for ONE environment and pure: jit and vmap at will.
+
+    The reward of a step is minus the increment of the task's cost, so the sum of an episode's
+    rewards IS minus the cost of the metrics of the whole run (plus the action rate).
+
+    task: a `Task`. dt: integration step, s; must divide the task's period. deadzone: `Exact()`
+    (default) or `Plain()`. sensors: what the readings are made of; `TrueSpeeds()` for exact ones.
+    dtype: of state and observation, float32 by default.
+
+    Raises: InputError when dt does not divide the period.
+    """
+
+    task: Task
+    dt: float = eqx.field(static=True, default=2e-4)
+    deadzone: Deadzone = eqx.field(default_factory=lambda: Exact(_EVENTS))
+    sensors: Sensors = eqx.field(default_factory=Encoders)
+    dtype: str = eqx.field(static=True, default="float32")
+
+    def __check_init__(self) -> None:
+        if not self.dt > 0.0 or abs(self.ticks * self.dt - self.task.period) > 1e-6 * self.dt:
+            raise InputError(
+                "dt", f"must divide the control period {self.task.period:g} s", self.dt, "e.g. 2e-4"
+            )
+
+    @property
+    def ticks(self) -> int:
+        """Integration steps in one control period."""
+        return max(1, round(self.task.period / self.dt)) if self.dt > 0.0 else 0
+
+    @property
+    def steps(self) -> int:
+        """Control periods in one episode."""
+        return round(self.task.duration / self.task.period)
+
+    def reset(self, key: Any) -> tuple[State, Any]:
+        """A fresh episode: its state and first observation.
+
+        key: of jax.random. The state carries on a new one, to be passed to the next reset.
+        """
+        following, own = jax.random.split(key)
+        drive, scenario = self.task.draw(own)
+        law = as_joint_law(self.task.law(), drive.axes)
+        drive, law, scenario = (cast(t, self.dtype) for t in (drive, law, scenario))
+        loop = ClosedLoop(drive, law, scenario, self.deadzone, self.dt)
+        metrics = self._metrics(loop)
+        carry = engine.start(loop, tuple(tuple(m.start() for m in own) for own in metrics))
+        y = _measured(loop, carry)
+        # Read twice: the drive has been at rest, rounding is no speed.
+        seen = self._read(loop, y, self._read(loop, y, y))
+        zero = jnp.zeros((), self.dtype)
+        numbers = _numbers(self.task, metrics, carry)
+        action = (zero,) * len(self.task.actions)
+        state = State(loop, carry, seen, action, self.task.cost(numbers), following)
+        return state, self._observe(state, numbers)
+
+    def step(self, state: State, action: Any) -> Step:
+        """Hold an action over one control period.
+
+        action: (actions,) in [-1, 1]. It is not checked here; Gymnasium and SB3 doors do.
+        """
+        actions = tuple(jnp.asarray(action[i], self.dtype) for i in range(len(self.task.actions)))
+        law = self.task.act(state.loop.law, actions)
+        loop = eqx.tree_at(lambda v: v.law, state.loop, law)
+        metrics = self._metrics(loop)
+        until = state.carry.tick + self.ticks
+        steps = engine.budget(loop, self.ticks)
+        carry, _ = engine.advance(loop, state.carry, until, steps, metrics)
+        numbers = _numbers(self.task, metrics, carry)
+        cost = self.task.cost(numbers)
+        seen = self._read(loop, _measured(loop, carry), state.seen)
+        new = State(loop, carry, seen, actions, cost, state.key)
+        failed = carry.status != Status.OK.value
+        over = ~failed & (carry.tick >= self.ticks * self.steps)
+        reward = self._reward(state, new, failed)
+        info = Info(carry.status, numbers)
+        return Step(new, self._observe(new, numbers), reward, failed, over, info)
+
+    def _reward(self, old: State, new: State, failed: Scalar) -> Scalar:
+        pairs = zip(new.action, old.action, strict=True)
+        rate = self.task.action_rate * sum((a - b) ** 2 for a, b in pairs)
+        return -jnp.where(failed, FAILURE, new.cost - old.cost + rate)
+
+    def _metrics(self, loop: ClosedLoop) -> tuple[tuple[Any, ...], ...]:
+        groups = choose(METRICS.all(), tuple(self.task.terms))
+        return (tuple(group(task_of(loop, 0, group.reference_unit)) for group in groups),)
+
+    def _read(self, loop: ClosedLoop, y: Measured, last: Measured) -> Measured:
+        return self.sensors.read(y, last, loop.ratios[0], self.task.period)
+
+    def _observe(self, state: State, numbers: dict[str, Scalar]) -> Any:
+        total = self.ticks * self.steps
+        remaining = (total - state.carry.tick).astype(self.dtype) / total
+        seen = Seen(state.seen, state.carry.x.law, state.action, remaining, numbers)
+        scaled = self.task.scaled(self.task.observe(seen))
+        # A failed run is not finite; its observation must stay in the box all the same.
+        return jnp.nan_to_num(scaled.astype(jnp.float32))
+
+
+def _measured(loop: ClosedLoop, carry: engine.Carry) -> Measured:
+    """What there is to measure at a tick; after the events there, of a reference as it is now."""
+    t = carry.tick.astype(carry.elapsed.dtype) * loop.dt
+    (outputs,) = loop.outputs(When(t, t + 1e-6 * loop.dt), carry.x, carry.modes, carry.held)
+    return Measured(*(getattr(outputs, name) for name in Measured._fields))
+
+
+def _numbers(task: Task, metrics: Any, carry: engine.Carry) -> dict[str, Scalar]:
+    found: dict[str, Scalar] = {}
+    for metric, fold in zip(metrics[0], carry.folds[0], strict=True):
+        found |= metric.finish(fold)
+    return {name: found[name] for name in task.terms}
+
+
+__all__ = ["FAILURE", "Environment", "Info", "State", "Step"]

@@ -1,0 +1,99 @@
+"""What an agent is asked to do: drive and scenario of an episode, action, observation, cost."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxsim.catalog import Catalog
+from jaxsim.drive import Drive
+from jaxsim.law import Law, Measured
+from jaxsim.scenario import Scenario
+
+Scalar = Any
+
+TASKS = Catalog("tasks", "envs.tasks", "envs.task:Task")
+
+
+class Channel(NamedTuple):
+    """One entry of an observation or action: the value over its full scale, clipped to the box."""
+
+    name: str
+    unit: str
+    full_scale: float
+    low: float = -1.0
+    high: float = 1.0
+
+
+class Range(NamedTuple):
+    """A uniform distribution. Drawn in float32 always: the same episodes in every precision."""
+
+    low: float
+    high: float
+
+    def draw(self, key: Any) -> Scalar:
+        return jax.random.uniform(key, (), jnp.float32, self.low, self.high)
+
+
+class Seen(NamedTuple):
+    """What a task may put into an observation, in SI units.
+
+    y: readings of the sensors; law: the state of the classical law, a tree; action: the last one,
+    in the box; remaining: share of the episode that is left; numbers: the metrics so far.
+    """
+
+    y: Measured
+    law: Any
+    action: tuple[Scalar, ...]
+    remaining: Scalar
+    numbers: dict[str, Scalar]
+
+
+class Task(eqx.Module):
+    """One task of one axis; a concrete subclass in `envs/tasks/` is all that a new one needs.
+
+    period, duration: of control and of an episode, s. terms: the metrics in the cost, each over
+    the value it has under the classical law in the nominal case, so that the law costs 1 there.
+    action_rate: cost of one unit of squared change of the action.
+    """
+
+    period: ClassVar[float]
+    duration: ClassVar[float]
+    terms: ClassVar[Mapping[str, float]]
+    action_rate: ClassVar[float]
+    actions: ClassVar[tuple[Channel, ...]]
+    channels: ClassVar[tuple[Channel, ...]]
+
+    @abc.abstractmethod
+    def draw(self, key: Any) -> tuple[Drive, Scenario]:
+        """The drive and scenario of one episode; everything random in it comes from the key."""
+
+    @abc.abstractmethod
+    def law(self) -> Law:
+        """The law that commands the motor before the first action."""
+
+    @abc.abstractmethod
+    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
+        """The law under an action in the box."""
+
+    @abc.abstractmethod
+    def observe(self, seen: Seen) -> tuple[Scalar, ...]:
+        """The values of `channels`, in SI units."""
+
+    def cost(self, numbers: dict[str, Scalar]) -> Scalar:
+        """The mean of the terms, each over its nominal value."""
+        parts = [numbers[name] / nominal for name, nominal in self.terms.items()]
+        return sum(parts[1:], parts[0]) / len(parts)
+
+    def scaled(self, values: tuple[Scalar, ...]) -> Any:
+        """An observation: values over their full scales, clipped to the box; (channels,) array."""
+        pairs = zip(self.channels, values, strict=True)
+        return jnp.stack([jnp.clip(v / c.full_scale, c.low, c.high) for c, v in pairs])
+
+
+__all__ = ["TASKS", "Channel", "Range", "Seen", "Task"]

@@ -1,0 +1,1 @@
+"""Tasks: one file each, found by scanning this folder; the class is named as its module."""

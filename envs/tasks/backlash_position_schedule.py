@@ -1,0 +1,55 @@
+"""Position step with backlash: the action sets the gain of the switched damping."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+
+from envs.task import Channel
+from envs.tasks._position import LAW_STATE, SENSED, Position, switched_law
+from jaxsim.law import Law
+
+Scalar = Any
+
+
+class BacklashPositionSchedule(Position):
+    """`BacklashPosition` with PD and switched damping at work: the action sets K_B.
+
+    K_B = -1.5 + 1.5 a, from -3 to 0 Nm s/rad; the paper's -0.8 is a = 0.467. Action (1,), held
+    for 1 ms, in [-1, 1]:
+
+    | index | name | unit | full scale |
+    |---|---|---|---|
+    | 0 | K_B + 1.5 | Nm s/rad | 1.5 |
+
+    Observation (13,): as in `BacklashPositionResidual`.
+
+    | index | name | unit | full scale | low | high |
+    |---|---|---|---|---|---|
+    | 0 | reference | rad | 1 | -1 | 1 |
+    | 1 | error | rad | 10 | -1 | 1 |
+    | 2 | theta_B | rad | 0.05 | -1 | 1 |
+    | 3 | omega_L | rad/s | 40 | -1 | 1 |
+    | 4 | omega_M | rad/s | 40 | -1 | 1 |
+    | 5 | omega_B | rad/s | 40 | -1 | 1 |
+    | 6 | previous action | 1 | 1 | -1 | 1 |
+    | 7 | remaining | 1 | 1 | 0 | 1 |
+    | 8 | T_s max | Nm | 20 | 0 | 1 |
+    | 9 | -T_s max | Nm | 20 | 0 | 1 |
+    | 10 | overshoot | rad | 10 | 0 | 1 |
+    | 11 | filtered reference | rad | 1 | -1 | 1 |
+    | 12 | filtered error | rad | 10 | -1 | 1 |
+
+    Reward: as in `BacklashPosition`.
+    """
+
+    actions: ClassVar[tuple[Channel, ...]] = (Channel("K_B + 1.5", "Nm s/rad", 1.5),)
+    channels: ClassVar[tuple[Channel, ...]] = SENSED + LAW_STATE
+
+    def law(self) -> Law:
+        return switched_law()
+
+    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
+        K_B = self.actions[0].full_scale * (action[0] - 1.0)
+        return eqx.tree_at(lambda v: v.laws[0].law.laws[1].K_B, law, K_B)
