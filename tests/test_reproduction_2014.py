@@ -65,6 +65,8 @@ def test_zeros_are_those_printed() -> None:
         ]
         for zero in wanted:
             assert min(math.dist(zero, f) for f in found) < 8e-5, (case, zero)
+    spring = [rows[f"motor_position.folded.{edge}_V_rad"].value for edge in ("low", "high")]
+    assert spring == pytest.approx([0.0018549318, 85.805683], rel=1e-6)  # tests/test_linearise.py
     assert rows["zeros.hanging.1.re"].paper == -0.0304
     assert _wrong(rows) == {"zeros.straight.1.re"}
 

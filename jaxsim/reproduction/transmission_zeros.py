@@ -7,9 +7,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxsim.findings import Findings, Group, Row, above, against_paper, claim, near
+from jaxsim.findings import (
+    Findings,
+    Group,
+    Row,
+    above,
+    against_paper,
+    below,
+    claim,
+    measured,
+    near,
+)
 from jaxsim.linear.joints import JointSystem, plant, transmission_zeros
-from jaxsim.linear.stability import abscissa, stable_gains
+from jaxsim.linear.stability import abscissa, stable_gains, stable_intervals
 from jaxsim.linear.state_space import per_axis, poles
 from jaxsim.linear.torque_loop import closed_loop, torque_dynamics
 from jaxsim.linear.zeros import zeros
@@ -47,6 +57,7 @@ class TransmissionZeros(Group):
         systems = cases()
         rows = [row for name, system in systems.items() for row in _zeros(name, system)]
         rows += [row for name in OPEN_LOOP for row in _open_loop(name, systems[name])]
+        rows += [row for name in OPEN_LOOP for row in _held(name, systems[name])]
         return Findings([*rows, *_claims(systems)], {})
 
 
@@ -90,8 +101,39 @@ def _open_loop(name: str, system: JointSystem) -> list[Row]:
     ]  # fmt: skip
 
 
+def _motor_spring(system: JointSystem) -> tuple[np.ndarray, np.ndarray]:
+    """A and the slope of A with K_theta of v = -K_theta theta_M on each motor."""
+    s = plant(system).channel(per_axis("theta_M", 2), per_axis("command", 2))
+    return s.A, -s.B @ s.C
+
+
+def _held(name: str, system: JointSystem) -> list[Row]:
+    """Where a spring at the motors alone holds the load; laws.motor_position."""
+    ((low, high),) = stable_intervals(*_motor_spring(system))
+    note = f"v = -K_theta theta_M without torque law, {ABOUT[name]}"
+    return [
+        measured(f"motor_position.{name}.{edge}_V_rad", f"{words} stable K_theta", "V/rad", value,
+                 note)
+        for edge, words, value in (("low", "least", low), ("high", "largest", high))
+    ]  # fmt: skip
+
+
 def _claims(systems: dict[str, JointSystem]) -> list[Row]:
-    return [_lemma_1(systems), *_stiffness(systems), _cancelled(systems["hanging"])]
+    return [
+        _lemma_1(systems), *_stiffness(systems), _position(systems["folded"]),
+        _cancelled(systems["hanging"]),
+    ]  # fmt: skip
+
+
+def _position(system: JointSystem) -> Row:
+    A, slope = _motor_spring(system)
+    right = np.real(transmission_zeros(system)).max()
+    return claim(
+        "motor_position_sufficient", "rightmost pole at K_theta = 0.1 V/rad, (1.8, 2.1)", "1/s",
+        abscissa(A + 0.1 * slope), below(0.0),
+        "3.4.1: 'a motor position feedback would be sufficient', and 'state feedback does not "
+        f"change the system zeros': one stays at {right:.4f} 1/s",
+    )  # fmt: skip
 
 
 def _lemma_1(systems: dict[str, JointSystem]) -> Row:
