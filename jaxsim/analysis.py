@@ -346,4 +346,11 @@ def _region(loop: ClosedLoop, angles: np.ndarray, notes: list[str]) -> Region | 
         notes.append(f"no Routh-Hurwitz region: {error.field} {error.rule}")
         return None
     K_p, K_i = (np.asarray(g, dtype=float) for g in gains)
-    return Region(joints, K_p, K_i, routh.K_p_max(joints), routh.K_i_max(joints, K_p))
+    region = Region(joints, K_p, K_i, routh.K_p_max(joints), routh.K_i_max(joints, K_p))
+    for axis in np.flatnonzero((K_i >= region.K_i_max) | (K_p >= region.K_p_max)):
+        notes.append(
+            f"axis {axis}: K_p = {K_p[axis]:g} V/Nm, K_i = {K_i[axis]:g} 1/s are outside the "
+            f"stability region: K_p < {region.K_p_max[axis]:.5g} (21), K_i < "
+            f"{max(region.K_i_max[axis], 0.0):.5g} at this K_p (22)"
+        )
+    return region

@@ -17,7 +17,7 @@ from jaxsim.linear.frequency import margins
 from jaxsim.linear.stability import abscissa, stable_gains
 from jaxsim.linear.torque_loop import closed_loop, open_loop
 from jaxsim.reproduction import _joints_2014 as paper
-from jaxsim.study import Study, from_table, load
+from jaxsim.study import Study, from_table, load, with_values
 
 S = Polynomial([0.0, 1.0])
 SAME = 1e-7  # relative: poles of a loop of twelve states, two ways
@@ -128,6 +128,12 @@ def test_the_command_writes_all(tmp_path: Path) -> None:
     assert figures == set(content["figures"])
     assert {"pole_zero.png", "bode.png", "stability_region.png", "root_locus_gain.png",
             "root_locus_K_p.png", "root_locus_alpha.png"} == figures  # fmt: skip
+
+
+def test_gains_outside_the_region_are_named() -> None:
+    found = analyse(with_values(load("leg_torque"), {"K_i": 120.0}))
+    assert any("K_i < 107.6" in note for note in found.notes)
+    assert not any("outside" in note for note in analyse(load("leg_torque")).notes)
 
 
 def test_sampled_laws_are_taken_continuous_but_not_those_with_memory() -> None:
