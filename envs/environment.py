@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from envs.task import Seen, Task
+from envs.task import TASKS, Seen, Task
 from jaxsim import engine
 from jaxsim.catalog import METRICS
 from jaxsim.errors import InputError
-from jaxsim.hybrid import Deadzone, Exact
+from jaxsim.hybrid import Deadzone, Exact, Plain
 from jaxsim.law import Measured, as_joint_law
 from jaxsim.loop import ClosedLoop, When, cast
 from jaxsim.metric import choose, task_of
-from jaxsim.sampled import Encoders, Sensors
+from jaxsim.sampled import Encoders, Sensors, TrueSpeeds
 from jaxsim.status import Status
 
 Scalar = Any
@@ -170,4 +171,24 @@ def _numbers(task: Task, metrics: Any, carry: engine.Carry) -> dict[str, Scalar]
     return {name: found[name] for name in task.terms}
 
 
-__all__ = ["FAILURE", "Environment", "Info", "State", "Step"]
+def build(
+    task: str, *, plain: bool = False, dt: float = 2e-4, true_speeds: bool = False, **options: Any
+) -> Environment:
+    """The environment that the doors of Gymnasium and stable-baselines3 open, in float32.
+
+    task: its name, or "module:Class". plain: events are not located. true_speeds: exact readings
+    in place of encoders. options: fields of the task.
+
+    Raises: InputError for an unknown task or option.
+    """
+    kind = TASKS.find(task)
+    fields = {f.name for f in dataclasses.fields(kind)}
+    for name in options:
+        if name not in fields:
+            raise InputError.unknown("option", name, {*fields, "plain", "dt", "true_speeds"})
+    deadzone = Plain() if plain else Exact(_EVENTS)
+    sensors = TrueSpeeds() if true_speeds else Encoders()
+    return Environment(kind(**options), dt, deadzone, sensors)
+
+
+__all__ = ["FAILURE", "Environment", "Info", "State", "Step", "build"]

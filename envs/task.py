@@ -57,6 +57,8 @@ class Seen(NamedTuple):
 class Task(eqx.Module):
     """One task of one axis; a concrete subclass in `envs/tasks/` is all that a new one needs.
 
+    Its fields are static, so that all environments of one kind share a compiled program.
+
     period, duration: of control and of an episode, s. terms: the metrics in the cost, each over
     the value it has under the classical law in the nominal case, so that the law costs 1 there.
     action_rate: cost of one unit of squared change of the action.

@@ -1,0 +1,150 @@
+"""Environments compiled for a batch, behind NumPy arrays: what all doors are made of."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from envs.environment import Environment, Step
+from jaxsim.errors import InputError
+
+
+class Outcome(NamedTuple):
+    """One step of all members, as fresh NumPy arrays with a leading axis of members.
+
+    observation is that of the new episode where the old one is over; final is that before the
+    reset. numbers: (members, terms), the metrics so far.
+    """
+
+    observation: np.ndarray
+    final: np.ndarray
+    reward: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    status: np.ndarray
+    numbers: np.ndarray
+
+
+class Runner:
+    """`size` environments whose state stays inside.
+
+    restarts: a member whose episode is over begins a new one within the same step; the others
+    go on. Each member draws its episodes from a chain of keys of its own, so it goes through
+    the same episodes whatever the batch it is in.
+    """
+
+    def __init__(self, env: Environment, size: int, *, restarts: bool) -> None:
+        if size < 1:
+            raise InputError("num_envs", "must be >= 1", size, "give a count")
+        self.env, self.size = env, size
+        self._reset, self._step = _compiled(env, restarts)
+        self._state: Any = None
+        self._over = np.zeros(size, bool)
+        self._restarts = restarts
+
+    @property
+    def started(self) -> bool:
+        return self._state is not None
+
+    def reset(self, seeds: Sequence[int] | None = None) -> np.ndarray:
+        """Fresh episodes: the first ones of these seeds, or the next of the present chains."""
+        keys = self._state[0] if seeds is None else _keys(seeds)
+        self._state, observation = self._reset(keys)
+        self._over[:] = False
+        return np.array(observation)
+
+    def step(self, actions: Any) -> Outcome:
+        """One control period under actions of shape (members, actions) in the box.
+
+        Raises: InputError for actions of another shape, not finite or outside the box, and for a
+        step before the first reset or after the end.
+        """
+        checked = self._checked(actions)
+        if not self.started or self._over.any():
+            raise InputError("step", "must come after a reset", "no running episode", "reset first")
+        self._state, arrays = self._step(self._state, checked)
+        outcome = Outcome(*(np.array(v) for v in arrays))
+        if not self._restarts:
+            self._over = outcome.terminated | outcome.truncated
+        return outcome
+
+    def _checked(self, actions: Any) -> np.ndarray:
+        shape = (self.size, len(self.env.task.actions))
+        values = np.asarray(actions, np.float32)
+        if values.shape != shape:
+            raise InputError("action", f"must have shape {shape}", values.shape, "one row per env")
+        fine = (np.abs(values) <= 1.0).all(axis=1)  # a comparison with nan is false
+        if not fine.all():
+            where = int(np.argmin(fine))
+            raise InputError(
+                "action", "must be finite and in [-1, 1]",
+                f"{values[where].tolist()} (env {where})",
+                "scale it to the box, np.clip(action, -1, 1) if that is what you mean",
+            )  # fmt: skip
+        return values
+
+
+def _keys(seeds: Sequence[int]) -> Any:
+    """One key per seed, of any size; the raw words, which jit passes faster than typed keys."""
+    words = [np.random.SeedSequence(seed).generate_state(2, np.uint32) for seed in seeds]
+    return jnp.asarray(np.stack(words))
+
+
+@functools.cache
+def _compiled(env: Environment, restarts: bool) -> tuple[Any, Any]:
+    """reset(keys) and step(state, actions) of a batch, shared by all runners of one kind.
+
+    Between calls a state is (words of the keys, other leaves): trees of components cost more to
+    take apart in Python than a step of one environment takes.
+    """
+    structure: Any = None
+
+    def packed(state: Any) -> tuple[Any, list[Any]]:
+        nonlocal structure
+        words = jax.random.key_data(state.key)
+        leaves, structure = jax.tree.flatten(state._replace(key=()))
+        return words, leaves
+
+    def unpacked(state: tuple[Any, list[Any]]) -> Any:
+        key = jax.random.wrap_key_data(state[0], impl="threefry2x32")
+        return jax.tree.unflatten(structure, state[1])._replace(key=key)
+
+    def reset(words: Any) -> Any:
+        keys = jax.random.wrap_key_data(words, impl="threefry2x32")
+        state, observation = jax.vmap(env.reset)(keys)
+        return packed(state), observation
+
+    def step(state: Any, actions: Any) -> Any:
+        old = unpacked(state)
+        done = jax.vmap(env.step)(old, actions)
+        after, observation = _restarted(env, done) if restarts else (done.state, done.observation)
+        # By name: dictionaries come out of vmap in alphabetical order.
+        numbers = jnp.stack([done.info.numbers[name] for name in env.task.terms], axis=-1)
+        final, status = done.observation, done.info.status
+        flags = done.terminated, done.truncated
+        return packed(after), (observation, final, done.reward, *flags, status, numbers)
+
+    return jax.jit(reset), jax.jit(step)
+
+
+def _restarted(env: Environment, done: Step) -> tuple[Any, Any]:
+    """States and observations with new episodes where the old ones are over."""
+    over = jnp.logical_or(done.terminated, done.truncated)
+
+    def one(over: Any, new: Any, old: Any) -> Any:
+        return jax.tree.map(lambda a, b: jnp.where(over, a, b), new, old)
+
+    def fresh(state: Any, observation: Any) -> tuple[Any, Any]:
+        new = jax.vmap(env.reset)(state.key)
+        return jax.vmap(one)(over, new, (state, observation))
+
+    # Most steps end no episode, and drawing drives for all would cost as much as the step.
+    return jax.lax.cond(jnp.any(over), fresh, lambda *same: same, done.state, done.observation)
+
+
+__all__ = ["Outcome", "Runner"]
