@@ -134,7 +134,7 @@ def _cause(loop: ClosedLoop, c: Carry) -> Scalar:
     Asked once, of the last state that was accepted, so that it costs the steps nothing.
     """
     t, rest = _now(loop, c), loop.dt - c.elapsed
-    rates = loop.field(When(t, t + 0.5 * rest), c.x, c.modes, c.held)
+    rates = events.field(loop, When(t, t + 0.5 * rest), c.x, c.modes, c.held)
     singular = (c.status == Status.DIVERGED.value) & ~loop.definite(c.x, rates, rest)
     return jnp.where(singular, Status.SINGULAR.value, c.status)
 
@@ -178,7 +178,7 @@ def _try(loop: ClosedLoop, c: Carry) -> _Trial:
     modes = events.settled(loop, when, c.x, c.modes, c.held) if located else c.modes
 
     def field(at: Scalar, x: State) -> State:
-        return loop.field(when._replace(t=at), x, modes, c.held)
+        return events.field(loop, when._replace(t=at), x, modes, c.held)
 
     x, rates = integrate.step(field, t, c.x, h)
     end_rates = field(end.t, x)

@@ -47,6 +47,16 @@ def along(when: When, rates: State) -> tuple[When, State]:
     return When(jnp.ones_like(when.t), jnp.zeros_like(when.t)), rates
 
 
+@jax.jit
+def field(loop: ClosedLoop, when: When, x: State, modes: tuple[Scalar, ...], held: Any) -> State:
+    """Rates of the state, as a function of its own in the program.
+
+    So all stages of a step are traced, differentiated and transposed once: the gradient of the
+    arm by reverse mode takes 13 s of CPU before it runs, and 18 s without.
+    """
+    return loop.field(when, x, modes, held)
+
+
 def guards(
     loop: ClosedLoop, when: When, x: State, modes: tuple[Scalar, ...], held: Any, rates: State
 ) -> Guards:
@@ -88,7 +98,7 @@ def settled(
     """Modes that are still 0 (guard identically zero so far) take the sign of value, then rate."""
     if not modes:
         return modes
-    rates = loop.field(when, x, modes, held)
+    rates = field(loop, when, x, modes, held)
     return _signs(loop.surfaces, modes, *guards(loop, when, x, modes, held, rates))
 
 
