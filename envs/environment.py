@@ -25,8 +25,6 @@ Scalar = Any
 # Room for events in one control period; a drive that has more of them does not arrive, and the
 # episode ends as failed. Rest against a wall of the gap makes one or two per millisecond.
 _EVENTS = 15
-# The price of a run that fails. Full torque all the time, the worst there is, costs about 260.
-FAILURE = 1000.0
 
 
 class State(NamedTuple):
@@ -139,7 +137,7 @@ class Environment(eqx.Module):
     def _reward(self, old: State, new: State, failed: Scalar) -> Scalar:
         pairs = zip(new.action, old.action, strict=True)
         rate = self.task.action_rate * sum((a - b) ** 2 for a, b in pairs)
-        return -jnp.where(failed, FAILURE, new.cost - old.cost + rate)
+        return -jnp.where(failed, self.task.failure, new.cost - old.cost + rate)
 
     def _metrics(self, loop: ClosedLoop) -> tuple[tuple[Any, ...], ...]:
         groups = choose(METRICS.all(), tuple(self.task.terms))
@@ -151,7 +149,8 @@ class Environment(eqx.Module):
     def _observe(self, state: State, numbers: dict[str, Scalar]) -> Any:
         total = self.ticks * self.steps
         remaining = (total - state.carry.tick).astype(self.dtype) / total
-        seen = Seen(state.seen, state.carry.x.law, state.action, remaining, numbers)
+        x = state.carry.x
+        seen = Seen(state.seen, x.drive[0].motor, x.law, state.action, remaining, numbers)
         scaled = self.task.scaled(self.task.observe(seen))
         # A failed run is not finite; its observation must stay in the box all the same.
         return jnp.nan_to_num(scaled.astype(jnp.float32))
@@ -191,4 +190,4 @@ def build(
     return Environment(kind(**options), dt, deadzone, sensors)
 
 
-__all__ = ["FAILURE", "Environment", "Info", "State", "Step", "build"]
+__all__ = ["Environment", "Info", "State", "Step", "build"]

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxsim.catalog import Catalog
 from jaxsim.drive import Drive
-from jaxsim.law import Law, Measured
+from jaxsim.law import Control, Measured
 from jaxsim.scenario import Scenario
 
 Scalar = Any
@@ -43,11 +43,13 @@ class Range(NamedTuple):
 class Seen(NamedTuple):
     """What a task may put into an observation, in SI units.
 
-    y: readings of the sensors; law: the state of the classical law, a tree; action: the last one,
-    in the box; remaining: share of the episode that is left; numbers: the metrics so far.
+    y: readings of the sensors; motor, law: the states of the motor and of the classical law,
+    trees; action: the last one, in the box; remaining: share of the episode that is left;
+    numbers: the metrics so far.
     """
 
     y: Measured
+    motor: Any
     law: Any
     action: tuple[Scalar, ...]
     remaining: Scalar
@@ -61,13 +63,15 @@ class Task(eqx.Module):
 
     period, duration: of control and of an episode, s. terms: the metrics in the cost, each over
     the value it has under the classical law in the nominal case, so that the law costs 1 there.
-    action_rate: cost of one unit of squared change of the action.
+    action_rate: cost of one unit of squared change of the action. failure: the price of a run
+    that fails, above what the worst actions cost.
     """
 
     period: ClassVar[float]
     duration: ClassVar[float]
     terms: ClassVar[Mapping[str, float]]
     action_rate: ClassVar[float]
+    failure: ClassVar[float]
     actions: ClassVar[tuple[Channel, ...]]
     channels: ClassVar[tuple[Channel, ...]]
 
@@ -76,7 +80,7 @@ class Task(eqx.Module):
         """The drive and scenario of one episode; everything random in it comes from the key."""
 
     @abc.abstractmethod
-    def law(self) -> Law:
+    def law(self) -> Control:
         """The law that commands the motor before the first action."""
 
     @abc.abstractmethod

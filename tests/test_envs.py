@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from envs.environment import FAILURE, Environment, State
+from envs.environment import Environment, State
 from envs.task import TASKS
 from jaxsim.catalog import snake_case
 from jaxsim.errors import InputError
@@ -54,7 +55,11 @@ def _episode(name: str, seed: int, action: float, **options: Any) -> tuple[State
 
 @pytest.mark.parametrize(
     ("name", "action"),
-    [("backlash_position_residual", 0.0), ("backlash_position_schedule", PAPER_GAIN)],
+    [
+        ("backlash_position_residual", 0.0),
+        ("backlash_position_schedule", PAPER_GAIN),
+        ("torque_tracking_residual", 0.0),
+    ],
 )
 @pytest.mark.parametrize("nominal", [True, False])
 def test_return_is_minus_the_metrics_of_a_simulated_run(
@@ -63,7 +68,7 @@ def test_return_is_minus_the_metrics_of_a_simulated_run(
     options = {"nominal": True} if nominal else {}
     state, steps = _episode(name, 3, action, **options)
     drive, scenario = state.loop.drive, state.loop.scenario
-    law = load("bench_switched").law
+    law = load("leg_torque" if "torque" in name else "bench_switched").law
     run = simulate(drive, law, scenario, store=None)
     env = _compiled(name, **options)[0]
     rate = env.task.action_rate * action**2
@@ -100,10 +105,33 @@ def test_episodes_end_by_time_alone_and_stay_in_the_box(name: str) -> None:
         assert observed.dtype == np.float32
         assert (observed >= low).all()
         assert (observed <= high).all()
-        # Full scales hold whatever an agent does, so nothing is ever clipped away.
+        assert float(-steps.reward.sum()) < 0.5 * env.task.failure
+        # Full scales of the position tasks hold whatever an agent does: nothing is clipped away.
         inside = (np.abs(observed) < 1.0) | (np.arange(observed.shape[1]) == 6)
-        assert inside[:-1].all(), np.argwhere(~inside)[:5]
-        assert float(-steps.reward.sum()) < FAILURE
+        assert "torque" in name or inside.all(), np.argwhere(~inside)[:5]
+
+
+def test_supply_cuts_the_sum_of_law_and_action() -> None:
+    """At full added voltage the current never passes that of a locked rotor at 48 V."""
+    for action in (1.0, -1.0):
+        _, steps = _episode("torque_tracking_residual", 2, action)
+        current = np.asarray(steps.observation)[:, 5] * 100.0
+        assert 1.0 < np.abs(current).max() < 48.0 / 0.664
+
+
+def test_a_held_voltage_drives_the_current_of_the_closed_form() -> None:
+    """The first millisecond of current, rotor and spring, by the matrix exponential.
+
+    The load is held: it moves by 1e-5 of what the rotor does in this time.
+    """
+    _, steps = _episode("torque_tracking", 0, 0.1, nominal=True, dt=1e-4)
+    L, R, K_t, J, D = 4.9066e-4, 0.664, 0.041, 2.21437e-5, 3.12575e-4
+    system = np.zeros((4, 4))  # current, omega_M, theta_M, voltage
+    system[0] = -R / L, -K_t / L, 0.0, 1.0 / L
+    system[1] = K_t / J, -D / J, -930.0 / 150.0**2 / J, 0.0
+    system[2, 1] = 1.0
+    want = (expm(1e-3 * system) @ [0.0, 0.0, 0.0, 4.8])[0]
+    assert float(steps.observation[0, 5]) * 100.0 == pytest.approx(want, rel=1e-5)
 
 
 def test_every_draw_comes_from_the_seed_and_within_its_range() -> None:
@@ -153,13 +181,13 @@ def test_float32_and_plain_mode_agree_with_exact_float64() -> None:
 
 
 def test_a_run_that_fails_terminates_with_its_price_and_a_finite_observation() -> None:
-    _, reset, run = _compiled("backlash_position")
+    env, reset, run = _compiled("backlash_position")
     state, _ = reset(jax.random.key(0))
     broken = eqx.tree_at(lambda s: s.loop.drive.load.J_L, state, jnp.asarray(jnp.nan))
     steps = run(broken, jnp.zeros((2, 1)))[1]
     assert steps.terminated.all()
     assert not steps.truncated.any()
-    assert (np.asarray(steps.reward) == -FAILURE).all()
+    assert (np.asarray(steps.reward) == -env.task.failure).all()
     assert (np.asarray(steps.info.status) == Status.DIVERGED.value).all()
     assert np.isfinite(steps.observation).all()
 

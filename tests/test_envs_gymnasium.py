@@ -32,6 +32,8 @@ def test_ids_are_those_of_the_tasks() -> None:
         POSITION,
         "gearlash/BacklashPositionResidual-v0",
         "gearlash/BacklashPositionSchedule-v0",
+        "gearlash/TorqueTracking-v0",
+        "gearlash/TorqueTrackingResidual-v0",
     }
     assert gymnasium.make(f"envs.registration:{POSITION}").spec.id == POSITION
 

@@ -79,6 +79,7 @@ class Position(Task):
     }
     # Bang-bang in every period would cost 1.2 over an episode, as much as the rest.
     action_rate: ClassVar[float] = 1e-3
+    failure: ClassVar[float] = 1000.0  # full torque all the time costs about 260
 
     def draw(self, key: Any) -> tuple[Drive, Scenario]:
         conditions = NOMINAL if self.nominal else Conditions()
