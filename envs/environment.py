@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from envs.pruned import prune
 from envs.task import TASKS, Seen, Task
 from jaxsim import engine
 from jaxsim.catalog import METRICS
@@ -140,8 +141,10 @@ class Environment(eqx.Module):
         return -jnp.where(failed, self.task.failure, new.cost - old.cost + rate)
 
     def _metrics(self, loop: ClosedLoop) -> tuple[tuple[Any, ...], ...]:
-        groups = choose(METRICS.all(), tuple(self.task.terms))
-        return (tuple(group(task_of(loop, 0, group.reference_unit)) for group in groups),)
+        names = tuple(self.task.terms)
+        groups = choose(METRICS.all(), names)
+        whole = (group(task_of(loop, 0, group.reference_unit)) for group in groups)
+        return (tuple(prune(metric, names) for metric in whole),)
 
     def _read(self, loop: ClosedLoop, y: Measured, last: Measured) -> Measured:
         return self.sensors.read(y, last, loop.ratios[0], self.task.period)

@@ -14,10 +14,13 @@ import pytest
 from scipy.linalg import expm
 
 from envs.environment import Environment, State
+from envs.pruned import prune
 from envs.task import TASKS
 from jaxsim.catalog import snake_case
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Plain
+from jaxsim.metric import Task
+from jaxsim.metrics.impacts import Impacts
 from jaxsim.sampled import TrueSpeeds
 from jaxsim.simulate import simulate
 from jaxsim.status import Status
@@ -190,6 +193,18 @@ def test_a_run_that_fails_terminates_with_its_price_and_a_finite_observation() -
     assert (np.asarray(steps.reward) == -env.task.failure).all()
     assert (np.asarray(steps.info.status) == Status.DIVERGED.value).all()
     assert np.isfinite(steps.observation).all()
+
+
+def test_a_pruned_metric_keeps_what_its_numbers_stand_on_and_no_more() -> None:
+    """The braking peak needs the side of the first contact; the largest torque needs neither."""
+    zero = jnp.zeros(())
+    impacts = Impacts(Task(zero, zero + 0.3, zero, zero + 0.3))
+    names = [
+        jax.tree_util.keystr(p) for p, _ in jax.tree_util.tree_leaves_with_path(impacts.start())
+    ]
+    peak = {names[i] for i in prune(impacts, ["braking_peak_Nm"]).kept}
+    assert {"[0].side", "[1].side", "[1].lasts", "[1].peak"} == peak
+    assert {names[i] for i in prune(impacts, ["largest_torque_Nm"]).kept} == {"[2]", "[3]"}
 
 
 @pytest.mark.parametrize("name", NAMES)
