@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from envs.registration import IDS
+from envs.single import SingleEnv
 from jaxsim.errors import InputError
 
 POSITION = "gearlash/BacklashPosition-v0"
@@ -40,7 +41,7 @@ def test_ids_are_those_of_the_tasks() -> None:
 
 @pytest.mark.parametrize("name", IDS)
 def test_gymnasiums_checker_has_nothing_to_say(name: str) -> None:
-    env = gymnasium.make(IDS[name], disable_env_checker=True)
+    env = gymnasium.make(IDS[name], render_mode="rgb_array", disable_env_checker=True)
     check_env(env.unwrapped)  # warnings are errors here
     env.close()
 
@@ -110,6 +111,23 @@ def test_statistics_wrapper_of_gymnasium_counts_whole_episodes() -> None:
     assert infos["episode"]["l"].tolist() == [STEPS, STEPS]
 
 
+def test_pictures_show_the_tooth_where_it_is() -> None:
+    env = gymnasium.make(POSITION, render_mode="rgb_array", nominal=True)
+    env.reset(seed=0)
+    assert _tooth(env) == pytest.approx(360.0, abs=1.0)  # mid-gap
+    for _ in range(5):
+        env.step(np.array([0.1], np.float32))
+    theta_B = float(env.unwrapped._runner.state().carry.x.drive[0].theta_B[0])
+    assert theta_B > 1e-3
+    assert _tooth(env) == pytest.approx(360.0 + 40.0 * theta_B / 7.8e-3, abs=1.0)
+
+
+def _tooth(env: Any) -> float:
+    """The middle column of the red tooth, looked at above the flanks."""
+    red = env.render()[55:65, 240:, 0] == 200
+    return 240.0 + float(np.flatnonzero(red.all(axis=0)).mean())
+
+
 @pytest.mark.parametrize(
     ("action", "said"),
     [
@@ -147,5 +165,7 @@ def test_other_mistakes_are_told() -> None:
     env = gymnasium.make(POSITION, disable_env_checker=True).unwrapped
     with pytest.raises(InputError, match="must come after a reset"):
         env.step(np.zeros(1, np.float32))
+    with pytest.raises(InputError, match="render_mode: must be rgb_array; got ansi"):
+        SingleEnv("backlash_position", render_mode="ansi")
     with pytest.raises(InputError, match="seed: must hold 2 seeds"):
         _vector(2).reset(seed=[1, 2, 3])
