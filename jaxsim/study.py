@@ -26,7 +26,7 @@ from jaxsim.validation import check
 
 SHIPPED = "jaxsim.studies"
 # `tune` and what other packages add are read by their owners; `law` may also be given elsewhere.
-_OWN = ("name", "about", "drive", "law", "scenario", "run", "objective")
+_OWN = ("name", "about", "drive", "law", "scenario", "scenarios", "run", "objective")
 _GUESTS = ("tune",)
 
 
@@ -43,7 +43,11 @@ class RunOptions(NamedTuple):
 
 
 class Study(NamedTuple):
-    """One study. `table` is the file as it was read, `folder` where its relative paths start."""
+    """One study. `table` is the file as it was read, `folder` where its relative paths start.
+
+    scenario: the one that is simulated and certified. scenarios: all that it is tuned for, by
+    name; `scenario` is the first of them, or the one chosen by `in_scenario`.
+    """
 
     name: str
     drive: Drive
@@ -53,10 +57,22 @@ class Study(NamedTuple):
     objective: Objective | None
     table: dict[str, Any]
     folder: Path
+    scenarios: dict[str, Scenario]
 
     def section(self, name: str) -> dict[str, Any]:
         """A section that another package reads, e.g. `tune`; empty if the file has none."""
         return self.table.get(name, {})
+
+    def in_scenario(self, name: str | None) -> Study:
+        """The study with another of its scenarios to simulate; None leaves it as it is.
+
+        Raises: InputError for an unknown name, with the nearest.
+        """
+        if name is None:
+            return self
+        if name not in self.scenarios:
+            raise InputError.unknown("scenario", name, self.scenarios)
+        return self._replace(scenario=self.scenarios[name])
 
 
 class _Run(BaseModel):
@@ -113,15 +129,17 @@ def from_table(table: dict[str, Any], folder: Path, name: str) -> Study:
             raise InputError.unknown(key, key, (*_OWN, *_GUESTS))
     drive = _drive(_need(table, "drive"), folder)
     law = _law(_need(table, "law"), folder, drive)
-    scenario = _scenario(table.get("scenario", {}), drive)
+    scenarios = _scenarios(table, drive)
     run = _run(table.get("run", {}))
-    scenario.ticks(run.dt)
-    ClosedLoop(drive, law, scenario, run.deadzone, run.dt)  # do the parts fit together?
+    for scenario in scenarios.values():
+        scenario.ticks(run.dt)
+        ClosedLoop(drive, law, scenario, run.deadzone, run.dt)  # do the parts fit together?
+    first = next(iter(scenarios.values()))
     wanted = table.get("objective")
     objective = None if wanted is None else read_objective(wanted)
     _remark(drive, law)
     title = table.get("name", name)
-    return Study(title, drive, law, scenario, run, objective, table, folder)
+    return Study(title, drive, law, first, run, objective, table, folder, scenarios)
 
 
 def _remark(drive: Drive, law: Any) -> None:
@@ -178,21 +196,39 @@ def _text(value: Any, where: str) -> str:
     return value
 
 
-def _scenario(given: Any, drive: Drive) -> Scenario:
+def _scenarios(table: Mapping[str, Any], drive: Drive) -> dict[str, Scenario]:
+    """[scenario] alone, or each [scenarios.NAME] with what it leaves out taken from [scenario]."""
+    common = table.get("scenario", {})
+    if "scenarios" not in table:
+        return {"scenario": _scenario(common, drive, "scenario")}
+    given = table["scenarios"]
+    if not isinstance(given, Mapping) or not given:
+        raise InputError("scenarios", "must be tables", repr(given), "write [scenarios.NAME]")
+    found = {}
+    for name, own in given.items():
+        where = f"scenarios.{name}"
+        for part, what in (("scenario", common), (where, own)):
+            if not isinstance(what, Mapping):
+                raise InputError(part, "must be a table", repr(what), f"write [{part}]")
+        found[name] = _scenario({**common, **own}, drive, where)
+    return found
+
+
+def _scenario(given: Any, drive: Drive, where: str) -> Scenario:
     known = ("reference", "load_torque", "start", "duration")
     if not isinstance(given, Mapping):
-        raise InputError("scenario", "must be a table", repr(given), "write [scenario]")
+        raise InputError(where, "must be a table", repr(given), f"write [{where}]")
     for key in given:
         if key not in known:
-            raise InputError.unknown(f"scenario.{key}", key, known)
+            raise InputError.unknown(f"{where}.{key}", key, known)
     parts: dict[str, Any] = {}
     for key, base in (("reference", Signal), ("load_torque", Signal), ("start", Start)):
         if key in given:
-            parts[key] = _per_axis(base, given[key], f"scenario.{key}", drive.axes)
+            parts[key] = _per_axis(base, given[key], f"{where}.{key}", drive.axes)
         elif drive.axes > 1:
             parts[key] = _per_axis(base, [_nothing(base)] * drive.axes, key, drive.axes)
     if "duration" in given:
-        parts["duration"] = float(to_si(given["duration"], "s", "scenario.duration"))
+        parts["duration"] = float(to_si(given["duration"], "s", f"{where}.duration"))
     return Scenario(**parts)
 
 

@@ -362,7 +362,7 @@ def test_a_start_that_cannot_be_evaluated_anywhere_is_said_so(
     def never(self: Problem, points: np.ndarray, drives: np.ndarray) -> Outcome:
         shape = (len(points), len(drives), 1, 3)
         values = np.full(shape, np.inf)
-        return Outcome(values, np.zeros((*shape, 2)), np.zeros(shape[:2], int))
+        return Outcome(values, np.zeros((*shape, 2)), np.zeros(shape[:3], int))
 
     monkeypatch.setattr(Problem, "evaluate", never)
     with pytest.raises(InputError, match="the study's drive: itae_rad_s2 or its slope is not fin"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from tuning import space
 from tuning.result import Result, Scores
 from tuning.session import FULL, Session
 
+_TITLE = 52  # characters of a title that a panel has room for
 _SIGNALS = ("theta_L", "T_s", "T_M")
 _WHEN = ("before", "after")
 
@@ -24,49 +26,52 @@ def draw(session: Session, result: Result, out: Path) -> None:
     _convergence(session, out / "convergence.png")
 
 
-def _worst_row(session: Session, result: Result) -> int:
-    """The drive, by row, that decides: worst of the first limit under the tuned law, or goal."""
+def _worst(session: Session, result: Result) -> tuple[int, int]:
+    """Row of the drive and scenario that decide: worst of the first limit, or goal, when tuned."""
     objective = session.spec.objective
     first = (*objective.limits, *objective.goals)[0].metric
-    return result.after.worst(first)[1]
+    return result.after.worst(first)[1:]
 
 
 def _responses(session: Session, result: Result, path: Path) -> None:
-    """Time responses on the study's drive and on the worst one, before and after."""
-    problem, study = session.problem, session.study
-    rows = list(dict.fromkeys([0, _worst_row(session, result)]))
-    indices = [int(result.drives[k]) for k in rows]
-    laws = [
-        space.with_gains(study.law, session.spec.free, g) for g in (result.initial, result.gains)
-    ]
-    pairs = [(problem.drive(i), law) for i in indices for law in laws]
-    run = simulate(
-        batch.stack([p[0] for p in pairs]),
-        batch.stack([p[1] for p in pairs]),
-        study.scenario,
-        dt=study.run.dt,
-        deadzone=study.run.deadzone,
-        metrics=(),
-        throw=False,
-    )
-    shape = (len(_SIGNALS), len(indices))
-    with plots.figure(path, *shape, sharex=True, sharey="row", squeeze=False) as axes:
-        for column, index in enumerate(indices):
+    """Time responses as the study is and in the worst case, before and after."""
+    chosen = list(dict.fromkeys([(0, 0), _worst(session, result)]))
+    cases = [(int(result.drives[row]), scenario) for row, scenario in chosen]
+    shape = (len(_SIGNALS), len(cases))
+    with plots.figure(path, *shape, sharex="col", sharey="row", squeeze=False) as axes:
+        for column, case in enumerate(cases):
+            run = _both(session, result, *case)
             for row, name in enumerate(_SIGNALS):
                 for k, when in enumerate(_WHEN):
-                    signal = np.asarray(run.signals[name][2 * column + k])
+                    signal = np.asarray(run.signals[name][k])
                     one = signal.reshape(len(signal), -1)
                     time = 1e3 * np.asarray(run.time[0])
                     axes[row, column].plot(time, one[:, 0], label=when, color=plots.COLOURS[when])
                 axes[row, 0].set_ylabel(plots.LABELS[name])
-            axes[0, column].set_title(_heading(problem.label(index)))
+            axes[0, column].set_title(_heading(session.problem.label(*case)))
             axes[-1, column].set_xlabel("time [ms]")
         _draw_bounds(session, axes)
         axes[0, 0].legend(loc="lower right")
 
 
+def _both(session: Session, result: Result, index: int, scenario: int) -> Any:
+    """The run of a drive in a scenario under the study's law and the tuned one."""
+    study, free = session.study, session.spec.free
+    laws = [space.with_gains(study.law, free, g) for g in (result.initial, result.gains)]
+    return simulate(
+        session.problem.drive(index),
+        batch.stack(laws),
+        study.scenarios[session.problem.scenarios[scenario]],
+        dt=study.run.dt,
+        deadzone=study.run.deadzone,
+        metrics=(),
+        throw=False,
+    )
+
+
 def _heading(label: str) -> str:
-    return label.replace("drive", "worst drive", 1) if label.startswith("drive") else label
+    named = label.replace("drive", "worst drive", 1) if label.startswith("drive") else label
+    return textwrap.fill(named, _TITLE)
 
 
 def _draw_bounds(session: Session, axes: Any) -> None:
@@ -96,7 +101,7 @@ def _spread(session: Session, result: Result, path: Path) -> None:
             ax.ticklabel_format(axis="x", scilimits=(-2, 4))
             ax.margins(x=0.08)
         axes[0, 0].set_title("triangle: mean, dot: worst")
-        axes[0, 0].set_ylabel(f"share of {len(result.drives)} drives below")
+        axes[0, 0].set_ylabel(f"share of {result.after.status.size} runs below")
         axes[0, -1].legend(loc="lower right")
 
 

@@ -55,10 +55,10 @@ def localise(
 ) -> Local:
     """The objective at one law.
 
-    values: (drives, axes, metrics); slopes: (drives, axes, metrics, P); names: of the metrics.
+    values: (drives, cases, metrics); slopes: (drives, cases, metrics, P); names: of the metrics;
+    a case is an axis in a scenario.
     """
-    axes = values.shape[1]
-    source = np.repeat(np.arange(len(values)), axes)
+    source = np.repeat(np.arange(len(values)), values.shape[1])
 
     def rows(metric: str, over: Over) -> Rows:
         at = names.index(metric)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxsim import tree
+from jaxsim.loop import cast
 from jaxsim.parameters import violations
 from jaxsim.simulate import simulate
 from jaxsim.status import Status
@@ -27,8 +29,9 @@ LANES = 64
 class Outcome(NamedTuple):
     """What laws do on drives.
 
-    values (points, drives, axes, metrics); slopes (points, drives, axes, metrics, P), with respect
-    to unit coordinates; status (points, drives): `Status` codes.
+    values (points, drives, cases, metrics), a case being an axis in a scenario, scenario by
+    scenario; slopes (points, drives, cases, metrics, P), with respect to unit coordinates;
+    status (points, drives, scenarios): `Status` codes.
     """
 
     values: np.ndarray
@@ -40,12 +43,13 @@ class Problem:
     """The runs that a study is tuned on.
 
     drives: (count, spreads), values of the uncertain parameters; the first is the study's drive.
-    metrics: those of the objective.
+    scenarios: names. metrics: those of the objective.
     """
 
     def __init__(self, study: Study, spec: Spec) -> None:
         self.study, self.spec = study, spec
         self.drives = space.draw_drives(study.drive, spec)
+        self.scenarios = tuple(study.scenarios)
         self.metrics = spec.objective.metrics()
         most = max(spec.count, spec.screen * spec.starts)
         self._lanes = min(LANES, most)
@@ -57,12 +61,18 @@ class Problem:
             self.study.drive, {s.path: v for s, v in zip(self.spec.spreads, values, strict=True)}
         )
 
-    def label(self, index: int) -> str:
-        """A drive in words, e.g. "drive 17 (half_gap=0.0085, K=270)"."""
+    def label(self, index: int, scenario: int | None = None) -> str:
+        """A drive in words, e.g. "drive 17 (half_gap=0.0085, K=270)", and one of its scenarios.
+
+        A single scenario is not named.
+        """
+        where = ""
+        if scenario is not None and len(self.scenarios) > 1:
+            where = f" in {self.scenarios[scenario]}"
         if index == 0:
-            return "the study's drive"
+            return f"the study's drive{where}"
         values = zip(self.spec.spreads, self.drives[index], strict=True)
-        return f"drive {index} ({', '.join(f'{s.name}={v:.4g}' for s, v in values)})"
+        return f"drive {index} ({', '.join(f'{s.name}={v:.4g}' for s, v in values)}){where}"
 
     def trouble(self, index: int, status: int) -> str:
         """Why a run failed: the broken rule of the drive, or the status in words."""
@@ -70,33 +80,45 @@ class Problem:
         return "; ".join(broken) or Status(status).words
 
     @cached_property
-    def _run(self) -> Any:
-        """The compiled call on (lanes, P) gains and (lanes, spreads) drives."""
+    def _runs(self) -> list[Callable[..., Any]]:
+        """Per scenario the compiled call on (lanes, P) gains and (lanes, spreads) drives.
+
+        Scenarios of one structure (kinds of signals, duration) share it.
+        """
         gains = jnp.zeros((self._lanes, len(self.spec.free)))
         drives = jnp.zeros((self._lanes, len(self.spec.spreads)))
-        return jax.jit(jax.vmap(self._one)).lower(gains, drives).compile()
+        compiled: dict[Any, Any] = {}
+        runs = []
+        for scenario in self.study.scenarios.values():
+            own = cast(scenario, jnp.dtype(self.study.run.dtype))
+            kind = jax.tree.structure(own)
+            if kind not in compiled:
+                call = jax.jit(jax.vmap(self._one, in_axes=(0, 0, None)))
+                compiled[kind] = call.lower(gains, drives, own).compile()
+            runs.append(partial(_call, compiled[kind], own))
+        return runs
 
-    def _one(self, gains: Any, drive: Any) -> tuple[Any, Any, Any]:
+    def _one(self, gains: Any, drive: Any, scenario: Any) -> tuple[Any, Any, Any]:
         """Values, Jacobian and status of one run.
 
         In forward mode: for 64 runs and 4 gains 0.29 s of CPU, against 0.97 s in reverse.
         """
 
         def numbers(p: Any) -> tuple[Any, Any]:
-            values, status = self._values(p, drive)
+            values, status = self._values(p, drive, scenario)
             return values, (values, status)
 
         slopes, (values, status) = jax.jacfwd(numbers, has_aux=True)(gains)
         return values, slopes, status
 
-    def _values(self, gains: Any, drive: Any) -> tuple[Any, Any]:
+    def _values(self, gains: Any, drive: Any, scenario: Any) -> tuple[Any, Any]:
         """Metrics (axes, metrics) and status of one run."""
         study, spec = self.study, self.spec
         uncertain = {s.path: drive[i] for i, s in enumerate(spec.spreads)}
         run = simulate(
             tree.replace(study.drive, uncertain),
             space.with_gains(study.law, spec.free, gains),
-            study.scenario,
+            scenario,
             dt=study.run.dt,
             deadzone=study.run.deadzone,
             metrics=self.metrics,
@@ -113,18 +135,23 @@ class Problem:
         own = np.tile(self.drives[drives], (len(points), 1))
         values, slopes, status = self._all(gains, own)
         shape = (len(points), len(drives))
-        slopes = slopes.reshape(*shape, *slopes.shape[1:])
+        count, axes = values.shape[1:3]
+        values = values.reshape(*shape, count * axes, *values.shape[3:])
+        slopes = slopes.reshape(*values.shape, -1)
         scale = space.slope(self.spec.free, points)[:, None, None, None, :]
-        values = values.reshape(*shape, *values.shape[1:])
-        return Outcome(values, slopes * scale, status.reshape(shape))
+        return Outcome(values, slopes * scale, status.reshape(*shape, count))
 
-    def _all(self, gains: np.ndarray, drives: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Any number of runs, in calls of one size; the last one is filled up by its last run."""
+    def _all(self, gains: np.ndarray, drives: np.ndarray) -> list[np.ndarray]:
+        """Any number of laws and drives in every scenario: arrays (runs, scenarios, ...).
+
+        In calls of one size; the last one of a scenario is filled up by its last run.
+        """
         count = len(gains)
         rows = np.minimum(np.arange(-(-count // self._lanes) * self._lanes), count - 1)
-        run = self._run  # compiled here, not by several threads at once
+        calls = [(run, own) for run in self._runs for own in rows.reshape(-1, self._lanes)]
 
-        def part(chosen: np.ndarray) -> Any:
+        def part(call: tuple[Any, np.ndarray]) -> Any:
+            run, chosen = call
             return jax.block_until_ready(
                 run(jnp.asarray(gains[chosen]), jnp.asarray(drives[chosen]))
             )
@@ -132,5 +159,11 @@ class Problem:
         # A call of XLA keeps one core busy: 128 runs take 1.45 s in a row and 0.98 s in threads
         # (with 8 other processes on the 2 cores).
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            parts = list(pool.map(part, rows.reshape(-1, self._lanes)))
-        return tuple(np.concatenate([np.asarray(p[k]) for p in parts])[:count] for k in range(3))
+            parts = list(pool.map(part, calls))
+        whole = [np.concatenate([np.asarray(p[k]) for p in parts]) for k in range(3)]
+        shape = (len(self.scenarios), len(rows))
+        return [np.moveaxis(a.reshape(*shape, *a.shape[1:])[:, :count], 0, 1) for a in whole]
+
+
+def _call(compiled: Any, scenario: Any, gains: Any, drives: Any) -> Any:
+    return compiled(gains, drives, scenario)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +18,10 @@ from tuning.spec import describe
 
 
 class Line(NamedTuple):
-    """One metric under one law: on the study's drive, mean over drives, worst case and its drive.
+    """One metric under one law: as the study is, mean over drives and scenarios, worst case.
 
-    The worst case is the value of largest size.
+    nominal: on the study's drive in its first scenario. worst: the value of largest size; drive:
+    that has it, with its scenario.
     """
 
     nominal: float
@@ -42,11 +44,11 @@ def lines(session: Session, result: Result) -> dict[str, tuple[Line, Line]]:
 
 
 def _line(session: Session, result: Result, scores: Scores, name: str) -> Line:
-    worst, row = scores.worst(name)
+    worst, row, scenario = scores.worst(name)
     values = scores.values[name]
     mean = float(np.mean(values)) if np.isfinite(values).all() else np.nan
-    nominal = float(np.max(values[0])) if result.drives[0] == 0 else np.nan
-    return Line(nominal, mean, worst, session.problem.label(int(result.drives[row])))
+    nominal = float(np.max(values[0, 0])) if result.drives[0] == 0 else np.nan
+    return Line(nominal, mean, worst, session.problem.label(int(result.drives[row]), scenario))
 
 
 def write(session: Session, result: Result, out: Path) -> None:
@@ -88,7 +90,7 @@ def _content(
         },
         "limits": [
             {**v.limit._asdict(), "value": v.value, "value_at_half_dt": v.finer, "holds": v.holds}
-            | {"worst_drive": session.problem.label(v.drive), "price": v.price}
+            | {"worst_drive": session.problem.label(v.drive, v.scenario), "price": v.price}
             for v in result.verdicts
         ],
         "metrics": {
@@ -114,18 +116,18 @@ def _flat(name: str, before: Line, after: Line) -> list[Any]:
 
 
 def _drives(session: Session, result: Result) -> tuple[list[str], list[list[Any]]]:
-    """One row per drive: its parameters and the objective's metrics before and after."""
-    metrics = session.problem.metrics
-    head = ["drive", *(s.name for s in session.spec.spreads)]
+    """One row per drive and scenario: parameters, and the objective's metrics before and after."""
+    metrics, scenarios = session.problem.metrics, session.problem.scenarios
+    head = ["drive", "scenario", *(s.name for s in session.spec.spreads)]
     head += [f"{m}_{when}" for m in metrics for when in ("before", "after")]
     rows = []
-    for k, index in enumerate(result.drives.tolist()):
+    for (k, index), (c, name) in product(enumerate(result.drives.tolist()), enumerate(scenarios)):
         numbers = [
-            float(scores.values[m][k].max())
+            float(scores.values[m][k, c].max())
             for m in metrics
             for scores in (result.before, result.after)
         ]
-        rows.append([index, *session.problem.drives[index].tolist(), *numbers])
+        rows.append([index, name, *session.problem.drives[index].tolist(), *numbers])
     return head, rows
 
 
@@ -161,7 +163,9 @@ def _metrics_table(session: Session, result: Result) -> Any:
     from rich import box
     from rich.table import Table
 
-    title = f"On {len(result.drives)} drives; worst is the largest in size"
+    count = len(session.problem.scenarios)
+    where = f" in {count} scenarios" if count > 1 else ""
+    title = f"On {len(result.drives)} drives{where}; worst is the largest in size"
     shown = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     shown.add_column("metric", no_wrap=True)
     for when in ("before", "after"):

@@ -25,7 +25,7 @@ _SAME = 1e-6
 
 
 class Scores(NamedTuple):
-    """Metrics of one law on all drives: name -> (drives, axes); status (drives,)."""
+    """Metrics of one law: name -> (drives, scenarios, axes); status (drives, scenarios)."""
 
     values: dict[str, np.ndarray]
     status: np.ndarray
@@ -33,16 +33,16 @@ class Scores(NamedTuple):
     def over(self, metric: str, over: Over) -> float:
         return float(reduce(self.values[metric].reshape(-1), over))
 
-    def worst(self, metric: str) -> tuple[float, int]:
-        """The value of largest size, with its sign, and the drive (by row) that has it."""
+    def worst(self, metric: str) -> tuple[float, int, int]:
+        """The value of largest size, with its sign, and its drive (by row) and scenario."""
         values = self.values[metric]
         sizes = np.where(np.isnan(values), -1.0, np.abs(values))
-        row, axis = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        return float(values[row, axis]), int(row)
+        row, scenario, axis = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        return float(values[row, scenario, axis]), int(row), int(scenario)
 
 
 class Verdict(NamedTuple):
-    """One limit at the end: value on the exact model, at half the step, worst drive, price.
+    """One limit at the end: value on the exact model, at half the step, worst drive and scenario.
 
     price: d cost/d bound as the search has it (nan if unknown); 0 where the limit is idle.
     """
@@ -51,6 +51,7 @@ class Verdict(NamedTuple):
     value: float
     finer: float
     drive: int
+    scenario: int
     price: float
 
     @property
@@ -66,9 +67,10 @@ class Verdict(NamedTuple):
 class Result(NamedTuple):
     """A tuned law and its evidence.
 
-    drives: indices of those scored. before, after: scores of the study's law and of the tuned one
-    at the study's dt; finer: of the tuned one at dt/2, metrics of the objective only. searched: its
-    cost as the search had it (on fewer drives if it was interrupted early).
+    drives: indices of those scored, in every scenario. before, after: scores of the study's law
+    and of the tuned one at the study's dt; finer: of the tuned one at dt/2, metrics of the
+    objective only. searched: its cost as the search had it (on fewer drives if it was interrupted
+    early).
     """
 
     law: Any
@@ -137,7 +139,7 @@ def conclude(session: Session) -> Result:
 def score(
     session: Session, laws: list[np.ndarray], drives: np.ndarray, dt: float, metrics: Any
 ) -> list[Scores]:
-    """Each law, given by its gains, on each drive: one batch on the exact model."""
+    """Each law, given by its gains, on each drive in each scenario, on the exact model."""
     study, spec = session.study, session.spec
     table = np.repeat(np.array(laws), len(drives), axis=0)
     law = batch.spread(
@@ -148,20 +150,26 @@ def score(
     if spec.spreads:
         drive = batch.spread(drive, **{s.path: own[:, i] for i, s in enumerate(spec.spreads)})
     deadzone = study.run.deadzone
-    run = simulate(
-        drive,
-        law,
-        study.scenario,
-        dt=dt,
-        deadzone=deadzone if isinstance(deadzone, Exact) else Exact(),
-        metrics=metrics,
-        store=None,
-        dtype=study.run.dtype,
-        throw=False,
-    )
+    runs = [
+        simulate(
+            drive,
+            law,
+            scenario,
+            dt=dt,
+            deadzone=deadzone if isinstance(deadzone, Exact) else Exact(),
+            metrics=metrics,
+            store=None,
+            dtype=study.run.dtype,
+            throw=False,
+        )
+        for scenario in study.scenarios.values()
+    ]
     shape = (len(laws), len(drives), -1)
-    status = np.asarray(run.status).reshape(shape[:2])
-    values = {k: np.asarray(v, float).reshape(shape) for k, v in run.metrics.items()}
+    status = np.stack([np.asarray(run.status).reshape(shape[:2]) for run in runs], axis=2)
+    values = {
+        name: np.stack([np.asarray(run.metrics[name], float).reshape(shape) for run in runs], 2)
+        for name in runs[0].metrics
+    }
     return [Scores({k: v[i] for k, v in values.items()}, status[i]) for i in range(len(laws))]
 
 
@@ -180,10 +188,11 @@ def _prices(session: Session) -> list[float]:
 def _verdict(
     limit: Limit, price: float, after: Scores, finer: Scores, drives: np.ndarray
 ) -> Verdict:
-    values = after.values[limit.metric].max(axis=1)
-    worst = int(drives[int(np.argmax(np.where(np.isnan(values), np.inf, values)))])
+    values = after.values[limit.metric].max(axis=2)
+    place = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
+    row, scenario = np.unravel_index(place, values.shape)
     there = after.over(limit.metric, limit.over), finer.over(limit.metric, limit.over)
-    return Verdict(limit, *there, worst, price)
+    return Verdict(limit, *there, int(drives[row]), int(scenario), price)
 
 
 def sentences(session: Session, result: Result) -> list[str]:
@@ -192,7 +201,7 @@ def sentences(session: Session, result: Result) -> list[str]:
     lines = [_headline(result)]
     for v in result.verdicts:
         name = f"{v.limit.metric} <= {v.limit.most:g}"
-        where = f"{v.value:.6g} ({v.limit.over}, {label(v.drive)})"
+        where = f"{v.value:.6g} ({v.limit.over}, {label(v.drive, v.scenario)})"
         if not v.holds:
             lines.append(f"{name} does NOT hold: {where}, {100.0 * v.share:.2g} % too much.")
         elif v.price > 0.0:
@@ -207,21 +216,22 @@ def sentences(session: Session, result: Result) -> list[str]:
             f"The model of the search{model} gave {result.searched:.6g}, fresh runs {again:.6g}."
         )
     lines += [f"Left out, {label(i)}: {why}." for i, why in session.excluded.items()]
-    for k in np.flatnonzero(result.after.status):
-        words = Status(int(result.after.status[k])).words
-        lines.append(f"The tuned law fails on {label(int(result.drives[k]))}: {words}.")
+    for k, c in np.argwhere(result.after.status):
+        words = Status(int(result.after.status[k, c])).words
+        lines.append(f"The tuned law fails on {label(int(result.drives[k]), c)}: {words}.")
     return lines
 
 
 def _headline(result: Result) -> str:
-    count = len(result.drives)
+    count, scenarios = result.after.status.shape
     drives = f"all {count} drives" if count > 1 else "the drive"
+    drives += f" in {scenarios} scenarios" if scenarios > 1 else ""
     ended = "" if result.status == CONVERGED else f" The search ended early: {_ending(result)}."
     if result.feasible:
         kept = f"every limit holds on {drives}" if result.verdicts else "no limits were set"
         whole = f"Converged: {kept}" if result.status == CONVERGED else kept.capitalize()
         return f"{whole}.{ended}"
-    broken = np.flatnonzero(result.after.status | result.finer.status)
+    broken = np.flatnonzero((result.after.status | result.finer.status).any(axis=1))
     if len(broken) and all(v.holds for v in result.verdicts):
         return f"NO FEASIBLE LAW was found: runs fail on {len(broken)} drives.{ended}"
     names = " and ".join(v.limit.metric for v in result.conflict)

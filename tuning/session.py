@@ -110,10 +110,10 @@ class Session:
         self.drives = self._wanted()
         points = np.array([s.z for s in states])
         outcome = self.problem.evaluate(points, self.drives)
-        dead = (outcome.status != 0).all(axis=0)
+        dead = np.asarray(outcome.status.any(axis=-1).all(axis=0))
         for k in np.flatnonzero(dead):
-            index = int(self.drives[k])
-            self.excluded[index] = self.problem.trouble(index, int(outcome.status[0, k]))
+            index, first = int(self.drives[k]), int(np.argmax(outcome.status[0, k] != 0))
+            self.excluded[index] = self.problem.trouble(index, int(outcome.status[0, k, first]))
         if dead.all():
             why = "; ".join(f"{self.problem.label(i)}: {w}" for i, w in self.excluded.items())
             raise InputError(
@@ -167,12 +167,14 @@ class Session:
         return found
 
     def _trouble(self, values: np.ndarray, slopes: np.ndarray, status: np.ndarray) -> str:
-        for k in np.flatnonzero(status):
+        problem = self.problem
+        for k, c in np.argwhere(status):
             index = int(self.drives[k])
-            return f"{self.problem.label(index)}: {self.problem.trouble(index, int(status[k]))}"
-        for k, _, m in np.argwhere(~np.isfinite(values) | ~np.isfinite(slopes).all(axis=-1)):
-            label, name = self.problem.label(int(self.drives[k])), self.problem.metrics[m]
-            return f"{label}: {name} or its slope is not finite"
+            return f"{problem.label(index, c)}: {problem.trouble(index, int(status[k, c]))}"
+        axes = values.shape[1] // len(problem.scenarios)
+        for k, case, m in np.argwhere(~np.isfinite(values) | ~np.isfinite(slopes).all(axis=-1)):
+            label = problem.label(int(self.drives[k]), case // axes)
+            return f"{label}: {problem.metrics[m]} or its slope is not finite"
         return ""
 
     def _record(self, moved: list[bool]) -> None:

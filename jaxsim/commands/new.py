@@ -42,7 +42,11 @@ def commented(study: Any, name: str) -> str:
     document.add("about", tomlkit.item(study.table.get("about", "")))
     document.add("drive", tomlkit.item(dump(study.drive, _explained)))
     document.add("law", tomlkit.item(dump(study.law, _explained)))
-    document.add("scenario", tomlkit.item(_scenario(study.scenario)))
+    if "scenarios" in study.table:
+        every = {name: _scenario(one) for name, one in study.scenarios.items()}
+        document.add("scenarios", tomlkit.item(every))
+    else:
+        document.add("scenario", tomlkit.item(_scenario(study.scenario)))
     for section in ("run", "objective", "tune"):
         given = study.table.get(section) or ({"dt": study.run.dt} if section == "run" else None)
         if given is not None:
