@@ -294,7 +294,7 @@ def read_toml(path: Path) -> Table:
     import tomllib
 
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return tomllib.loads(path.read_text("utf-8-sig"))
     except FileNotFoundError:
         raise InputError(str(path), "must be a file", "nothing there", "check the path") from None
     except (OSError, UnicodeDecodeError) as error:

@@ -9,12 +9,15 @@ import os
 import platform
 import shlex
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
+
+from jaxsim.errors import InputError
 
 _PACKAGES = ("gearlash", "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy")
 
@@ -31,6 +34,21 @@ def provenance(*, seed: int | None = None, dtype: str = "float64") -> dict[str, 
         **({} if seed is None else {"seed": seed}),
         "versions": versions,
     }
+
+
+def make_folder(option: str, folder: Path) -> None:
+    """Make the folder of an option before a minute of computing, not after it.
+
+    Raises: InputError where it is a file, or where nothing can be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        rule = "must lie in a folder that can be made"
+        why = f"{folder} ({error.strerror})"
+        raise InputError(option, rule, why, "name another place") from None
 
 
 def write_json(path: Path, content: Any) -> None:

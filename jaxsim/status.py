@@ -19,7 +19,8 @@ class Status(enum.IntEnum):
         """What it means and what to do about it."""
         return {
             Status.OK: "complete",
-            Status.EVENTS: "more events than there was room for: raise Exact(max_events=...)",
+            Status.EVENTS: "more events than there was room for: lower the gains if it chatters, "
+            "else raise max_events",
             Status.DIVERGED: "the state became infinite: reduce dt or the gains",
             Status.INVALID: "a parameter breaks its rule",
             Status.SINGULAR: "the load's mass matrix is not positive definite at an angle met: "

@@ -17,7 +17,7 @@ from jaxsim.drive import Drive
 from jaxsim.drives.bench_2018 import bench_2018
 from jaxsim.errors import InputError
 from jaxsim.law import Law
-from jaxsim.provenance import write_json, write_toml
+from jaxsim.provenance import make_folder, write_json, write_toml
 from jaxsim.quantity import to_si
 from jaxsim.study import Study, load, locate, shipped, with_values
 
@@ -211,3 +211,15 @@ def test_torque_gains_outside_the_stable_region_are_named(
     path.write_text(text.replace('K_p = "2 V/Nm", K_i = "12.5 1/s"', gains))
     with pytest.warns(UserWarning, match=words):
         load(str(path))
+
+
+def test_a_byte_order_mark_is_no_mistake(tmp_path: Path) -> None:
+    path = tmp_path / "windows.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + TEXT.replace("\n", "\r\n").encode())
+    assert load(str(path)).name == "test"
+
+
+def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="--out: must lie in a folder that can be made"):
+        make_folder("--out", tmp_path / "file")

@@ -30,9 +30,12 @@ def command(
 
     from jaxsim.analysis import analyse
     from jaxsim.commands.simulate import pairs
+    from jaxsim.provenance import make_folder
     from jaxsim.study import load, with_values
 
     what = with_values(load(study, law=law), pairs(change or []))
+    if out is not None:
+        make_folder("--out", out)
     found = analyse(what, None if at is None else _angles(at))
     console = Console()
     for first in range(0, len(found.modes), _COLUMNS):
@@ -141,7 +144,6 @@ def _write(out: Path, found: Any) -> None:
     from jaxsim.analysis_plots import draw
     from jaxsim.provenance import provenance, write_json
 
-    out.mkdir(parents=True, exist_ok=True)
     content = {
         "study": found.study,
         "theta_L_rad": found.theta_L,

@@ -20,6 +20,9 @@ def command(
         typer.Option(help="Metric; repeat. Default: those of the study's objective."),
     ] = None,
     law: Annotated[str | None, typer.Option(help="File to take the law from.")] = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Of a study with several; default: the first.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for certificate.json.")] = None,
 ) -> None:
     """Check a study's gradients against finite differences of the located run."""
@@ -29,12 +32,14 @@ def command(
     from rich.console import Console
 
     from jaxsim.certify import certify
-    from jaxsim.provenance import provenance, write_json
+    from jaxsim.provenance import make_folder, provenance, write_json
     from jaxsim.study import load
 
-    what = load(study, law=law)
+    what = load(study, law=law).in_scenario(scenario)
     wanted = what.objective.metrics() if what.objective else ("first_impact_Nm", "itae_rad_s2")
     console = Console()
+    if out is not None:
+        make_folder("--out", out)
     with console.status("Gradients forward, reverse and by differences ..."):
         names = parameter or [f"law.{path}" for path in _numbers(what.law)]
         rows = certify(what, names, metric or wanted)

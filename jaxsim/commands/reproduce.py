@@ -26,13 +26,15 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
+    from jaxsim.provenance import make_folder
+
     console = Console()
     if listing:
         console.print(_listing())
         return
     groups, file = _chosen(names or []), json or out / "rows.json"
     for option, folder in (("--out", out), ("--json", file.parent)):
-        _make(option, folder)
+        make_folder(option, folder)
     rows, failed = _reproduce(groups, out, file, console)
     _report(rows, failed, console)
     console.print(f"Figures in {out}, all rows in {file}")
@@ -53,18 +55,6 @@ def _chosen(names: list[str]) -> dict[str, Any]:
             raise InputError.unknown("reproduction", name, [*known, "all"])
     wanted = sorted(known) if "all" in names else list(dict.fromkeys(names))
     return {name: GROUPS.find(name) for name in wanted}
-
-
-def _make(option: str, folder: Path) -> None:
-    """Before a minute of computing, not after it."""
-    from jaxsim.errors import InputError
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        rule = "must lie in a folder that can be made"
-        why = f"{folder} ({error.strerror})"
-        raise InputError(option, rule, why, "name another place") from None
 
 
 def _listing() -> Any:

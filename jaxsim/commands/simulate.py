@@ -14,6 +14,9 @@ def command(
     change: Annotated[
         list[str] | None, typer.Option("--set", help="NAME=VALUE for law or drive; repeat.")
     ] = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Of a study with several; default: the first.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for run, events, metrics, plot.")] = None,
 ) -> None:
     """Run a study: metrics on the screen; signals, events and a plot in a folder."""
@@ -22,10 +25,13 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
+    from jaxsim.provenance import make_folder
     from jaxsim.simulate import simulate
     from jaxsim.study import load, with_values
 
-    what = with_values(load(study, law=law), pairs(change or []))
+    what = with_values(load(study, law=law).in_scenario(scenario), pairs(change or []))
+    if out is not None:
+        make_folder("--out", out)
     run = simulate(
         what.drive,
         what.law,
@@ -83,7 +89,6 @@ def _write(out: Path, run: Any, study: Any) -> None:
     from jaxsim import plots
     from jaxsim.provenance import provenance, write_json
 
-    out.mkdir(parents=True, exist_ok=True)
     run.to_csv(out / "run.csv")
     with (out / "events.csv").open("w", newline="") as file:
         writer = csv.writer(file)

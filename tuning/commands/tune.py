@@ -22,11 +22,13 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
+    from jaxsim.provenance import make_folder
     from jaxsim.study import load
     from tuning import session as sessions
     from tuning.spec import read_spec
 
     what = load(study, law=law)
+    make_folder("--out", out)
     session = sessions.Session(
         what, read_spec(what, starts=starts, seed=seed), out / "checkpoint.json"
     )
