@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import itertools
 import json
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from tuning import report, solver, space
 from tuning.local import RESERVE, Local, Rows, localise
 from tuning.problem import Outcome, Problem
 from tuning.result import conclude, sentences
-from tuning.session import Session, resume
+from tuning.session import Session, noted_interrupts, resume
 from tuning.solver import CONVERGED, RUNNING, State
 from tuning.spec import read_spec
 
@@ -382,3 +384,12 @@ def test_command_writes_law_tables_and_plots(tmp_path: Path) -> None:
     law = load(str(file), law=str(out / "law.toml")).law
     for name in ("K_B", "K_P"):
         assert float(tree.get(law, name)) == gains[name]["after"]
+
+
+def test_an_interrupt_that_a_callback_swallows_is_noted() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with noted_interrupts() as pressed:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        assert pressed == [signal.SIGINT]
+    assert signal.getsignal(signal.SIGINT) is before

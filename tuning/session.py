@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +38,29 @@ class Progress(NamedTuple):
     violation: float
 
 
+@contextlib.contextmanager
+def noted_interrupts() -> Iterator[list[int]]:
+    """The Ctrl-C pressed so far. Each also raises, as ever.
+
+    Where the exception falls into a callback of JAX, Python prints it and goes on: a search went
+    on to its end although it had been interrupted. So it is noted, too.
+    """
+    pressed: list[int] = []
+
+    def note(number: int, _: Any) -> None:
+        pressed.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed  # only the main thread may set a handler, and only it is interrupted
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 class Session:
     """One search, whose state is on disk after every iteration.
 
@@ -62,11 +88,14 @@ class Session:
         """
         begun, before = time.perf_counter(), self.seconds
         try:
-            while not self.done:
-                self._turn()
-                self.seconds = before + time.perf_counter() - begun
-                checkpoint.write(self)
-                tell(self.progress())
+            with noted_interrupts() as pressed:
+                while not self.done:
+                    self._turn()
+                    self.seconds = before + time.perf_counter() - begun
+                    checkpoint.write(self)
+                    tell(self.progress())
+                    if pressed:
+                        raise KeyboardInterrupt
         except KeyboardInterrupt:
             if not any(s.best is not None for s in self.states):
                 raise  # nothing to keep

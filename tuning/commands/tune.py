@@ -37,7 +37,11 @@ def command(
         with console.status("Taking up the search ..."):
             sessions.resume(session)
     _search(session, console)
-    result = _conclude(session, out, console)
+    try:
+        result = _conclude(session, out, console)
+    except KeyboardInterrupt:
+        console.print("Interrupted: the search is kept; --resume writes its results.")
+        raise typer.Exit(130) from None
     if session.interrupted:
         console.print("Interrupted: the best law so far is kept; --resume goes on.", style="yellow")
         raise typer.Exit(130)
