@@ -13,6 +13,10 @@ from jaxsim.errors import InputError
 from jaxsim.hybrid import Plain, Switch, switch_all
 from jaxsim.law import Control, Decentral, Law, Measured, Scalar
 
+# Commands under way are kept one by one in the state: a delay of thousands of periods, which was
+# meant in another unit, would compile for minutes.
+_LONGEST = 32
+
 
 class Sensors(eqx.Module):
     """What the sampled law gets to see of the measurements."""
@@ -90,6 +94,9 @@ class Sampled(eqx.Module):
             raise InputError("Sampled.period", "must be > 0 s", self.period, "e.g. 400e-6")
         if not self.delay >= 0.0:
             raise InputError("Sampled.delay", "must be >= 0 s", self.delay, "e.g. one period")
+        if self.delay > _LONGEST * self.period:
+            rule = f"must be at most {_LONGEST} periods of {self.period:g} s"
+            raise InputError("Sampled.delay", rule, self.delay, "give seconds or text with a unit")
         self.law.check_period(self.period)
 
     @property

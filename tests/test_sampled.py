@@ -11,6 +11,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from jaxsim import batch
 from jaxsim.errors import InputError
+from jaxsim.laws.pd import PD
 from jaxsim.run import Run
 from jaxsim.sampled import Encoders, Sampled
 from jaxsim.simulate import simulate
@@ -118,3 +119,8 @@ def test_periods_delays_and_counts_are_checked(build: object, field: str) -> Non
     with pytest.raises(InputError) as caught:
         build()
     assert caught.value.field == field
+
+
+def test_a_delay_in_the_wrong_unit_is_refused() -> None:
+    with pytest.raises(InputError, match=r"Sampled.delay: must be at most 32 periods"):
+        Sampled(PD(1.0, 0.1, 0.01), 4e-4, delay=1.0)
