@@ -28,7 +28,7 @@ from jaxsim.derivative import Derivatives
 from jaxsim.drive import Drive, Load, Motor, Transmission
 from jaxsim.errors import InputError
 from jaxsim.motors import dc
-from jaxsim.parameters import violations
+from jaxsim.parameters import all_parameters
 from jaxsim.quantity import to_si
 from jaxsim.sampled import Sensors
 from jaxsim.scenario import Start
@@ -214,11 +214,11 @@ def override(component: Any, values: Mapping[str, Any], where: str) -> Any:
             field = f"{where}.{name}"
             raise InputError(field, error.rule, error.value, error.fix) from None
         component = tree.replace(component, {name: np.asarray(number, float)})
-    broken = violations(component)
-    if broken:
-        field, _, rest = broken[0].partition(": ")
-        rule, _, got = rest.partition("; got ")
-        raise InputError(f"{where}.{field.lstrip('.')}", rule, got, "give a valid number in SI")
+    for item in all_parameters(component):
+        value = np.asarray(item.value)
+        if not np.all(np.asarray(item.rule.holds(value))):
+            field = f"{where}.{item.path.lstrip('.')}"
+            raise InputError(field, item.rule.text, value.tolist(), item.rule.fix)
     return component
 
 
