@@ -14,7 +14,6 @@ from pathlib import Path
 
 # What makes a run one native loop instead of thousands of small calls: a single drive runs ten
 # times faster, four gradients over 256 drives too, and programs compile in half the time.
-# (measured in docs/speed.md; from ../shared/design.md, "Speed")
 FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000,"
