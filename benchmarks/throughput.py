@@ -19,10 +19,10 @@ from rich.progress import track
 from rich.table import Table
 
 import jaxsim
+from jaxsim._simulate import simulate
 from jaxsim.batch import spread
 from jaxsim.hybrid import Deadzone, Exact, Plain
 from jaxsim.provenance import provenance, write_json
-from jaxsim.simulate import simulate
 from jaxsim.study import load
 
 BATCHES = (1, 256, 4096, 65536)

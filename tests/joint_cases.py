@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxsim._simulate import simulate
 from jaxsim.drive import Drive
 from jaxsim.drives.leg_2014 import leg_2014
 from jaxsim.drives.two_link_arm_2014 import two_link_arm_2014
@@ -19,7 +20,6 @@ from jaxsim.run import Run
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
 from jaxsim.signals.step import Step
-from jaxsim.simulate import simulate
 
 DT = 2.5e-4  # s, the paper's scale: the fastest pole is near -2100 rad/s
 STEP = 3.0  # Nm

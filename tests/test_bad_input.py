@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxsim import batch, tree
+from jaxsim._simulate import RunError, simulate
 from jaxsim.batch import Batch
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Exact, Smoothed
@@ -20,7 +21,6 @@ from jaxsim.run import Run
 from jaxsim.scenario import Scenario
 from jaxsim.signals.step import Step
 from jaxsim.signals.table import Table
-from jaxsim.simulate import RunError, simulate
 from jaxsim.status import Status
 from jaxsim.transmissions.backlash import Backlash
 

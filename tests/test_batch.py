@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from jaxsim import batch, tree
+from jaxsim._simulate import simulate
 from jaxsim.batch import Batch
 from jaxsim.hybrid import Plain
-from jaxsim.simulate import simulate
 
 METRICS = ("itae_rad_s2", "largest_torque_Nm")
 GAPS = np.linspace(0.7, 1.3, 4096) * bench.PAPER.half_gap

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from jaxsim.certify import certify
+from jaxsim._certify import certify
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Plain
 from jaxsim.study import Study, load

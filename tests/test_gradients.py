@@ -15,8 +15,8 @@ import oracle
 import pytest
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.hybrid import Deadzone, Exact, Plain
-from jaxsim.simulate import simulate
 
 LAWS = ("none", "linear", "switched")
 GAINS, PHYSICAL = ("K_B", "K_P", "K_D", "tau_D"), ("half_gap", "K", "D_B", "J_L")

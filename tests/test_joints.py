@@ -28,6 +28,7 @@ from joint_cases import (
 from joint_oracle import Arm, Leg, linear_torque
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.batch import spread
 from jaxsim.drive import Drive
 from jaxsim.drives.leg_2014 import leg_2014
@@ -42,7 +43,6 @@ from jaxsim.loads.two_link import TwoLink
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario
 from jaxsim.signals.step import Step
-from jaxsim.simulate import simulate
 from jaxsim.status import Status
 from jaxsim.transmissions.backlash import Backlash
 

@@ -12,6 +12,7 @@ import oracle
 import pytest
 
 from jaxsim import batch
+from jaxsim._simulate import simulate
 from jaxsim.hybrid import Exact
 from jaxsim.loop import ClosedLoop
 from jaxsim.metric import task_of
@@ -22,7 +23,6 @@ from jaxsim.signals.constant import Constant
 from jaxsim.signals.multisine import Multisine
 from jaxsim.signals.step import FilteredStep, Step
 from jaxsim.signals.table import Table
-from jaxsim.simulate import simulate
 
 DURATION = 0.2
 # Peaks and crossings between grid points are those of the cubic of each step, dt^4.

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.drive import Drive
 from jaxsim.drives.bench_2018 import bench_2018
 from jaxsim.errors import InputError
@@ -27,7 +28,6 @@ from jaxsim.laws.switched_damping import SwitchedDamping
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
 from jaxsim.signals.step import Step
-from jaxsim.simulate import simulate
 from jaxsim.transmissions.backlash import Backlash
 from jaxsim.transmissions.nordin import Nordin
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from jaxsim import pwa
+from jaxsim._simulate import simulate
 from jaxsim.drive import Drive
 from jaxsim.drives.bench_2018 import bench_2018
 from jaxsim.drives.two_link_arm_2014 import two_link_arm_2014
@@ -26,7 +27,6 @@ from jaxsim.pwa import PiecewiseAffine
 from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
-from jaxsim.simulate import simulate
 from jaxsim.transmissions.backlash import Backlash
 from jaxsim.transmissions.nordin import Nordin
 

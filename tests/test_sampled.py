@@ -10,11 +10,11 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from jaxsim import batch
+from jaxsim._simulate import simulate
 from jaxsim.errors import InputError
 from jaxsim.laws.pd import PD
 from jaxsim.run import Run
 from jaxsim.sampled import Encoders, Sampled
-from jaxsim.simulate import simulate
 
 PERIOD, DT = 4e-4, 2e-4
 EVERY = round(PERIOD / DT)

@@ -22,6 +22,7 @@ from joint_cases import (
 )
 from scipy import signal as filters
 
+from jaxsim._simulate import simulate
 from jaxsim.components import build, dump
 from jaxsim.derivative import Derivatives
 from jaxsim.derivatives.butterworth import Butterworth, ButterworthDifferences
@@ -43,7 +44,6 @@ from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
 from jaxsim.signals.step import Step
-from jaxsim.simulate import simulate
 
 # --- laws -----------------------------------------------------------------------------------------
 

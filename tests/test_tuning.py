@@ -17,11 +17,11 @@ from scipy.optimize import minimize, minimize_scalar
 from typer.testing import CliRunner
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.command import app
 from jaxsim.errors import InputError
 from jaxsim.objective import Goal, Limit, Objective, reduce
 from jaxsim.provenance import write_toml
-from jaxsim.simulate import simulate
 from jaxsim.study import Study, from_table, load
 from tuning import report, solver, space
 from tuning.local import RESERVE, Local, Rows, localise

@@ -11,11 +11,11 @@ import pytest
 from test_tuning import searched, study
 from typer.testing import CliRunner
 
+from jaxsim._simulate import simulate
 from jaxsim.command import app
 from jaxsim.commands.new import commented
 from jaxsim.errors import InputError
 from jaxsim.provenance import write_toml
-from jaxsim.simulate import simulate
 from jaxsim.study import Study, from_table, load
 from tuning import space
 from tuning.local import RESERVE, localise

@@ -15,6 +15,7 @@ import oracle
 import pytest
 
 from jaxsim import batch, engine
+from jaxsim._simulate import simulate
 from jaxsim.hybrid import Deadzone, Exact, Plain
 from jaxsim.law import Law, Measured
 from jaxsim.loop import ClosedLoop
@@ -22,7 +23,6 @@ from jaxsim.metric import task_of
 from jaxsim.metrics.dissipation import Dissipation
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario, Start
-from jaxsim.simulate import simulate
 
 LAWS = ("none", "linear", "switched")
 DT = 2e-4

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxsim import batch, plots
-from jaxsim.simulate import simulate
+from jaxsim._simulate import simulate
 from tuning import space
 from tuning.result import Result, Scores
 from tuning.session import FULL, Session

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.loop import cast
 from jaxsim.parameters import violations
-from jaxsim.simulate import simulate
 from jaxsim.status import Status
 from jaxsim.study import Study
 from tuning import space

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxsim import batch
+from jaxsim._simulate import simulate
 from jaxsim.hybrid import Exact
 from jaxsim.objective import Limit, Over, reduce
-from jaxsim.simulate import simulate
 from jaxsim.status import Status
 from jaxsim.study import Study
 from tuning import space

@@ -31,7 +31,7 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
-    from jaxsim.certify import certify
+    from jaxsim._certify import certify
     from jaxsim.provenance import make_folder, provenance, write_json
     from jaxsim.study import load
 
@@ -66,7 +66,7 @@ def table(rows: list[Any], name: str) -> Any:
     from rich import box
     from rich.table import Table
 
-    from jaxsim.certify import STEPS
+    from jaxsim._certify import STEPS
 
     shown = Table(
         title=f"{name}: p * d metric/dp, in SI",

@@ -25,8 +25,8 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
+    from jaxsim._simulate import simulate
     from jaxsim.provenance import make_folder
-    from jaxsim.simulate import simulate
     from jaxsim.study import load, with_values
 
     what = with_values(load(study, law=law).in_scenario(scenario), pairs(change or []))

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxsim._simulate import simulate
 from jaxsim.batch import stack
 from jaxsim.drive import Drive
 from jaxsim.drives.bench_2018 import bench_2018
@@ -22,7 +23,6 @@ from jaxsim.laws.switched_damping import SwitchedDamping
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.step import Step
-from jaxsim.simulate import simulate
 
 PAPER = "Yamada, Ruderman, Fujimoto 2018"
 KINDS = ("none", "linear", "switched")

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxsim._simulate import simulate
 from jaxsim.batch import stack
 from jaxsim.drive import Drive
 from jaxsim.drives.leg_2014 import leg_2014
@@ -30,7 +31,6 @@ from jaxsim.run import Run
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
 from jaxsim.signals.step import Step
-from jaxsim.simulate import simulate
 
 PAPER = "Dallali, Medrano-Cerda et al. 2014"
 HZ = 2.0 * math.pi

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.batch import stack
 from jaxsim.findings import Draw, Findings, Group, Row, above, below, claim, measured, near
 from jaxsim.hybrid import Exact
@@ -21,7 +22,6 @@ from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario
 from jaxsim.signals.step import Step
-from jaxsim.simulate import simulate
 from jaxsim.study import load
 
 REVERSAL, DURATION = 1.0, 5.0  # s

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxsim._simulate import simulate
 from jaxsim.drives.bench_2018 import bench_2018
 from jaxsim.findings import Draw, Findings, Group, against_paper, measured
 from jaxsim.laws.feedforward import Feedforward
@@ -16,7 +17,6 @@ from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario
 from jaxsim.signals.multisine import Multisine
-from jaxsim.simulate import simulate
 
 # Slow and small: T_s presses the spring by 5 urad at most, and the gap is crossed in a third of
 # each half period. The first period is left out.

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.drives.two_link_arm_2014 import two_link_arm_2014
 from jaxsim.findings import Draw, Findings, Group, Row, above, below, claim, measured
 from jaxsim.linear.joints import JointSystem
@@ -21,7 +22,6 @@ from jaxsim.reproduction._loci_2014 import over_alpha
 from jaxsim.reproduction._panel import panel
 from jaxsim.run import Run
 from jaxsim.sampled import Encoders, Sampled, TrueSpeeds
-from jaxsim.simulate import simulate
 
 LINKS = ("inertia_1", "inertia_2", "coupling")
 WEIGHTS = ("gravity_1", "gravity_2")

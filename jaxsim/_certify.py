@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxsim import batch, tree
+from jaxsim._simulate import simulate
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact
-from jaxsim.simulate import simulate
 from jaxsim.study import Study, owner_of
 
 # Relative steps of the central differences: large ones cut off, small ones drown in rounding and
