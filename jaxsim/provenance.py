@@ -54,16 +54,16 @@ def make_folder(option: str, folder: Path) -> None:
 def write_json(path: Path, content: Any) -> None:
     """Numbers, lists and tables as indented JSON; nan and inf as null, which JSON has."""
     text = json.dumps(_plain(content), indent=1, allow_nan=False)
-    _replace(path, text + "\n")
+    replace_text(path, text + "\n")
 
 
 def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:
     """Tables as TOML, below a comment."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    _replace(path, head + tomlkit.dumps(content))
+    replace_text(path, head + tomlkit.dumps(content))
 
 
-def _replace(path: Path, text: str) -> None:
+def replace_text(path: Path, text: str) -> None:
     """Write beside and rename: an interrupt never leaves half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(path.name + ".part")
