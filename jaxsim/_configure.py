@@ -69,10 +69,10 @@ def _one_device_per_core() -> None:
     chosen = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
     if not chosen and jax.config.values["jax_num_cpu_devices"] < 0:
         with contextlib.suppress(RuntimeError):
-            jax.config.update("jax_num_cpu_devices", _core_count())
+            jax.config.update("jax_num_cpu_devices", core_count())
 
 
-def _core_count() -> int:
+def core_count() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
