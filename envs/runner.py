@@ -1,4 +1,23 @@
-"""Environments compiled for a batch, behind NumPy arrays: what all doors are made of."""
+"""Environments compiled for a batch, behind NumPy arrays: what all doors are made of.
+
+For code that stays inside JAX (analytic policy gradients, fused evaluation) this is the wrong
+door. Use the pure functions of `envs.environment.Environment` themselves; they are for ONE
+environment and compose with jit, vmap, scan and grad:
+
+    env = Environment(TASKS.find("backlash_position")(), deadzone=Smoothed(), sensors=TrueSpeeds())
+    state, observation = env.reset(jax.random.key(0))       # observation: (channels,) float32
+    step = env.step(state, action)                          # action: (actions,) in [-1, 1]
+    step.state, step.observation, step.reward, step.truncated, step.info.numbers
+
+- Everything random in an episode comes from the key; the key of the next one is `state.key`.
+- `env.steps` steps make an episode; nothing resets by itself, that is `Runner`'s doing.
+- The reward is differentiable with respect to actions and state. Of the modes, `Smoothed()` is
+  for gradients over whole episodes, `Exact()` gives right values and event times; gradients in
+  `Plain()` are wrong. Encoders round, so that gradients through them are zero: `TrueSpeeds()`.
+- `env.task.channels` and `env.task.actions` give names, units, full scales and bounds.
+- `env.task.act(law, action)` is what an action does to the law; `state.loop` and `state.carry` are
+  the engine's, for those who need the drive of the episode or its state.
+"""
 
 from __future__ import annotations
 
