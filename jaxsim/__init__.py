@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # the same names as in _EXPORTS, for type checkers; a test co
     from jaxsim.hybrid import Exact as Exact
     from jaxsim.hybrid import Plain as Plain
     from jaxsim.hybrid import Smoothed as Smoothed
+    from jaxsim.run import Run as Run
     from jaxsim.sampled import Encoders as Encoders
     from jaxsim.sampled import Sampled as Sampled
     from jaxsim.sampled import TrueSpeeds as TrueSpeeds
@@ -34,6 +35,7 @@ _EXPORTS = {
     "Exact": "jaxsim.hybrid",
     "InputError": "jaxsim.errors",
     "Plain": "jaxsim.hybrid",
+    "Run": "jaxsim.run",
     "RunError": "jaxsim._simulate",
     "Sampled": "jaxsim.sampled",
     "Scenario": "jaxsim.scenario",
