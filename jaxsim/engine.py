@@ -12,10 +12,12 @@ each); differentiating through the rejected trials (wrong: they never happened).
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 
 from jaxsim import events, hermite, integrate
 from jaxsim.events import Exit, Landing, choose
@@ -106,26 +108,98 @@ def start(loop: ClosedLoop, folds: Any) -> Carry:
 
 
 def advance(
-    loop: ClosedLoop, carry: Carry, until: int, steps: int, metrics: Any, stored: bool = False
+    loop: ClosedLoop, carry: Carry, until: Any, steps: int, metrics: Any, stored: bool = False
 ) -> tuple[Carry, Mark | None]:
-    """Advance one run by up to `steps` micro-steps, idling once it has reached tick `until`.
+    """Advance one run to tick `until` by at most `steps` micro-steps.
 
-    This is the only loop that moves a drive. Its status says whether it arrived.
+    This is the only loop that moves a drive. Its status says whether it arrived. Members of a
+    batch that have arrived idle until the last one has; with `stored`, or where a derivative is
+    taken, the loop has its full length.
     """
+    marks = None
+    if stored:
+        carry, marks = _scanned(loop, carry, until, metrics, steps, stored)
+    else:
+        carry = _arrived(loop, carry, until, metrics, steps)
+    late = (carry.status == Status.OK.value) & (carry.tick < until)
+    return carry._replace(status=jnp.where(late, Status.EVENTS.value, _cause(loop, carry))), marks
+
+
+def _scanned(
+    loop: ClosedLoop, carry: Carry, until: Any, metrics: Any, steps: int, stored: bool
+) -> tuple[Carry, Mark | None]:
+    """`steps` micro-steps, or a few more: a loop that both modes of differentiation can take."""
     chunks = -(-steps // _CHUNK)
 
     def micro(c: Carry, _: None) -> tuple[Carry, Mark | None]:
         return _micro_step(loop, c, until, metrics, stored)
 
     def chunk(c: Carry, _: None) -> tuple[Carry, Mark | None]:
-        return jax.lax.scan(micro, c, None, length=_CHUNK)
+        return jax.lax.scan(micro, c, None, length=-(-steps // chunks))
 
     carry, marks = jax.lax.scan(jax.checkpoint(chunk), carry, None, length=chunks)
-    late = (carry.status == Status.OK.value) & (carry.tick < until)
-    carry = carry._replace(status=jnp.where(late, Status.EVENTS.value, _cause(loop, carry)))
     if stored:
         marks = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), marks)
     return carry, marks
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(4,))
+def _arrived(loop: ClosedLoop, carry: Carry, until: Any, metrics: Any, steps: int) -> Carry:
+    """Micro-steps until all members of a batch have arrived or failed: their values only.
+
+    Room for events is rarely used up: a period of an environment has room for 15, and mostly none.
+    """
+
+    def going(state: tuple[Carry, Scalar]) -> Scalar:
+        c, count = state
+        return _any_member(_active(c, until)) & (count < steps)
+
+    def micro(state: tuple[Carry, Scalar]) -> tuple[Carry, Scalar]:
+        c, count = state
+        return _micro_step(loop, c, until, metrics, False)[0], count + 1
+
+    return jax.lax.while_loop(going, micro, (carry, jnp.zeros((), jnp.int32)))[0]
+
+
+@functools.partial(_arrived.defjvp, symbolic_zeros=True)
+def _(steps: int, primals: Any, tangents: Any) -> tuple[Carry, Carry]:
+    """A loop without a fixed length has no reverse mode: where derivatives are asked for, scan.
+
+    Only what has a tangent is differentiated: zeros would be carried through all the steps.
+    """
+    leaves, structure = jax.tree.flatten(primals)
+    slopes = jax.tree.leaves(tangents, is_leaf=lambda v: isinstance(v, SymbolicZero))
+    moves = [not isinstance(v, SymbolicZero) for v in slopes]
+
+    def scanned(*moving: Any) -> Carry:
+        following = iter(moving)
+        own = [next(following) if m else v for m, v in zip(moves, leaves, strict=True)]
+        loop, carry, until, metrics = jax.tree.unflatten(structure, own)
+        return _scanned(loop, carry, until, metrics, steps, False)[0]
+
+    return jax.jvp(
+        scanned,
+        [v for v, m in zip(leaves, moves, strict=True) if m],
+        [v for v, m in zip(slopes, moves, strict=True) if m],
+    )
+
+
+@jax.custom_batching.custom_vmap
+def _any_member(condition: Scalar) -> Scalar:
+    """Whether a condition holds for any member of the batch that this run is in.
+
+    vmap would give a loop with a condition per member, and a select on all that it carries.
+    """
+    return condition
+
+
+@_any_member.def_vmap
+def _(size: int, batched: list[bool], conditions: Any) -> tuple[Any, bool]:
+    return jnp.any(conditions), False
+
+
+def _active(c: Carry, until: Any) -> Scalar:
+    return (c.tick < until) & (c.status == Status.OK.value)
 
 
 def _cause(loop: ClosedLoop, c: Carry) -> Scalar:
@@ -218,10 +292,10 @@ def _judge(loop: ClosedLoop, c: Carry, trial: _Trial, active: Scalar) -> _Verdic
 
 
 def _micro_step(
-    loop: ClosedLoop, c: Carry, until: int, metrics: Any, stored: bool
+    loop: ClosedLoop, c: Carry, until: Any, metrics: Any, stored: bool
 ) -> tuple[Carry, Mark | None]:
     """Try, judge, and go on from there; a run that has arrived or failed stays as it is."""
-    active = (c.tick < until) & (c.status == Status.OK.value)
+    active = _active(c, until)
     trial = _try(loop, c)
     verdict = _judge(loop, c, trial, active)
     shift = jnp.where(verdict.landed, verdict.landing.correction, 0.0)
