@@ -8,7 +8,7 @@ RECIPE := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench docs clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -27,6 +27,14 @@ lint: .venv/.dev  ## Check style, format and types
 bench: .venv/.bench  ## Measure throughput next to a plain numba loop
 	$(BIN)/python benchmarks/throughput.py
 
+docs: .venv/.docs  ## Build the documentation: runs its code blocks, the examples, both papers
+	@mkdir -p results/docs/examples
+	$(BIN)/gearlash reproduce all --out results/docs/papers > results/docs/papers.txt
+	for script in examples/*.py; do \
+	  echo $$script; $(BIN)/python $$script results/docs/examples \
+	    > results/docs/examples/$$(basename $$script .py).txt || exit 1; done
+	$(BIN)/mkdocs build --strict
+
 clean:  ## Remove results and caches; .venv stays
 	rm -rf results dist .pytest_cache .ruff_cache
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
@@ -37,7 +45,7 @@ clean:  ## Remove results and caches; .venv stays
 	@$(PIP) -e .
 	@touch $@
 
-.venv/.test .venv/.bench .venv/.dev: .venv/.%: $(RECIPE) | $(BIN)/python
+.venv/.test .venv/.bench .venv/.dev .venv/.docs: .venv/.%: $(RECIPE) | $(BIN)/python
 	@echo "Installing gearlash[$*] into .venv (the first time takes a minute or two) ..."
 	@$(PIP) -e '.[$*]'
 	@touch $@
