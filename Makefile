@@ -33,7 +33,7 @@ docs: .venv/.docs  ## Build the documentation: runs its code blocks, the example
 	for script in examples/*.py; do \
 	  echo $$script; $(BIN)/python $$script results/docs/examples \
 	    > results/docs/examples/$$(basename $$script .py).txt || exit 1; done
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## Remove results and caches; .venv stays
 	rm -rf results dist .pytest_cache .ruff_cache
