@@ -178,13 +178,8 @@ def _row(
 ) -> Row:
     forward, reverse = float(g.forward[at]), float(g.reverse[at])
     differences = tuple(float(d[at]) for d in g.differences)
-    errors = scale * np.abs(np.array(differences) - forward)
-    # Two neighbouring steps must agree: one alone may hit by chance where the metric jumps.
-    pairs = np.maximum(errors[:-1], errors[1:])
-    error = float(np.min(np.where(np.isfinite(pairs), pairs, np.inf)))
-    allowed = max(OWN * scale * abs(forward), NORM * norm)
     same = abs(forward - reverse) * scale <= 1e-6 * max(norm, 1e-30)
-    verdict = _verdict(error <= allowed and same, norm, np.array(differences), allowed / scale)
+    error, verdict = judge(forward, differences, scale, norm, same)
     return Row(
         metric,
         path,
@@ -197,6 +192,23 @@ def _row(
         error,
         verdict,
     )
+
+
+def judge(
+    gradient: float, differences: Sequence[float], scale: float, norm: float, same: bool = True
+) -> tuple[float, str]:
+    """The error and the verdict of one component, both as in `Row`.
+
+    differences: one per step of `STEPS`. norm: of the scaled gradient. same: whether another way
+    to the gradient agrees.
+    """
+    found = np.asarray(differences, float)
+    errors = scale * np.abs(found - gradient)
+    # Two neighbouring steps must agree: one alone may hit by chance where the metric jumps.
+    pairs = np.maximum(errors[:-1], errors[1:])
+    error = float(np.min(np.where(np.isfinite(pairs), pairs, np.inf)))
+    allowed = max(OWN * scale * abs(gradient), NORM * norm)
+    return error, _verdict(error <= allowed and same, norm, found, allowed / scale)
 
 
 def _verdict(agrees: bool, norm: float, differences: np.ndarray, allowed: float) -> str:

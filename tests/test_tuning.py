@@ -23,13 +23,14 @@ from jaxsim.errors import InputError
 from jaxsim.objective import Goal, Limit, Objective, reduce
 from jaxsim.provenance import write_toml
 from jaxsim.study import Study, from_table, load
-from tuning import report, solver, space
+from tuning import figures, report, solver, space
 from tuning.local import RESERVE, Local, Rows, localise
 from tuning.problem import Outcome, Problem
-from tuning.result import conclude, sentences
+from tuning.result import conclude
 from tuning.session import Session, noted_interrupts, resume
 from tuning.solver import CONVERGED, RUNNING, State
 from tuning.spec import read_spec
+from tuning.words import sentences
 
 SHORT = 0.1  # s: first impact, braking and the overshoot are over
 
@@ -268,8 +269,9 @@ def test_limits_hold_on_every_drive_by_fresh_runs_at_half_the_step(finished: Ses
     result = conclude(finished)
     assert finished.best().status == CONVERGED
     assert result.feasible
-    assert result.cost(finished.study, result.after) < result.cost(finished.study, result.before)
-    assert result.cost(finished.study, result.after) == pytest.approx(result.searched, rel=1e-6)
+    objective = finished.spec.objective
+    assert result.after.cost(objective) < result.before.cost(objective)
+    assert result.after.cost(objective) == pytest.approx(result.searched, rel=1e-6)
     active = [v for v in result.verdicts if v.price > 0.0]
     assert active  # the limits are what stops this search, so they were really needed
     for v in active:
@@ -377,9 +379,8 @@ def test_command_writes_law_tables_and_plots(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["tune", str(file), "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert "every limit holds on all 3 drives" in done.output
-    names = {"law.toml", "result.json", "table.csv", "drives.csv", "history.csv"}
-    plots = {"responses.png", "spread.png", "convergence.png", "checkpoint.json"}
-    assert {p.name for p in out.iterdir()} == names | plots
+    names = {*report.FILES, *figures.FILES, "report.html", "checkpoint.json"}
+    assert {p.name for p in out.iterdir()} == names
     gains = json.loads((out / "result.json").read_text())["gains"]
     law = load(str(file), law=str(out / "law.toml")).law
     for name in ("K_B", "K_P"):

@@ -20,8 +20,7 @@ from jaxsim.study import Study, from_table, load
 from tuning import space
 from tuning.local import RESERVE, localise
 from tuning.problem import Outcome, Problem
-from tuning.result import score
-from tuning.session import Session
+from tuning.scoring import score
 from tuning.spec import read_spec
 
 
@@ -37,7 +36,7 @@ def several(**tune: Any) -> Study:
     return from_table(table, Path(), "several")
 
 
-def test_scenarios_are_those_of_single_runs_and_count_in_limits(tmp_path: Path) -> None:
+def test_scenarios_are_those_of_single_runs_and_count_in_limits() -> None:
     what = several()
     problem = Problem(what, read_spec(what))
     z = np.array([[0.45, 0.55], [0.6, 0.2]])
@@ -52,9 +51,8 @@ def test_scenarios_are_those_of_single_runs_and_count_in_limits(tmp_path: Path) 
 
     torque = outcome.values[1, ..., problem.metrics.index("largest_torque_Nm")]
     place = np.unravel_index(int(np.argmax(torque)), torque.shape)
-    session = Session(what, problem.spec, tmp_path / "checkpoint.json")
     (scores,) = score(
-        session, [space.to_gains(problem.spec.free, z[1])], np.array([0, 2]), 2e-4, None
+        problem, [space.to_gains(problem.spec.free, z[1])], np.array([0, 2]), 2e-4, None
     )
     assert scores.worst("largest_torque_Nm")[1:] == place
     assert scores.worst("largest_torque_Nm")[0] == pytest.approx(torque.max(), rel=1e-9)

@@ -11,47 +11,55 @@ import numpy as np
 from jaxsim import batch, plots
 from jaxsim._simulate import simulate
 from tuning import space
-from tuning.result import Result, Scores
+from tuning.certificate import Case
+from tuning.result import Result
+from tuning.scoring import Scores
 from tuning.session import FULL, Session
 
-_TITLE = 52  # characters of a title that a panel has room for
+_TITLE = 60  # characters of a title that a panel has room for
 _SIGNALS = ("theta_L", "T_s", "T_M")
 _WHEN = ("before", "after")
+FILES = ("responses.png", "spread.png", "convergence.png", "sensitivities.png")
 
 
 def draw(session: Session, result: Result, out: Path) -> None:
-    """responses.png, spread.png and convergence.png."""
+    """Each of `FILES`."""
     _responses(session, result, out / "responses.png")
     _spread(session, result, out / "spread.png")
     _convergence(session, out / "convergence.png")
-
-
-def _worst(session: Session, result: Result) -> tuple[int, int]:
-    """Row of the drive and scenario that decide: worst of the first limit, or goal, when tuned."""
-    objective = session.spec.objective
-    first = (*objective.limits, *objective.goals)[0].metric
-    return result.after.worst(first)[1:]
+    _sensitivities(session, result, out / "sensitivities.png")
 
 
 def _responses(session: Session, result: Result, path: Path) -> None:
     """Time responses as the study is and in the worst case, before and after."""
-    chosen = list(dict.fromkeys([(0, 0), _worst(session, result)]))
-    cases = [(int(result.drives[row]), scenario) for row, scenario in chosen]
-    shape = (len(_SIGNALS), len(cases))
+    shape = (len(_SIGNALS), len(result.cases))
     with plots.figure(path, *shape, sharex="col", sharey="row", squeeze=False) as axes:
-        for column, case in enumerate(cases):
+        for column, case in enumerate(result.cases):
             run = _both(session, result, *case)
+            time = 1e3 * np.asarray(run.time[0])
+            _draw_reference(session, axes[:, column], run, time)
             for row, name in enumerate(_SIGNALS):
                 for k, when in enumerate(_WHEN):
-                    signal = np.asarray(run.signals[name][k])
-                    one = signal.reshape(len(signal), -1)
-                    time = 1e3 * np.asarray(run.time[0])
-                    axes[row, column].plot(time, one[:, 0], label=when, color=plots.COLOURS[when])
+                    colour, label = plots.COLOURS[when], when
+                    axes[row, column].plot(time, _first(run, name, k), label=label, color=colour)
                 axes[row, 0].set_ylabel(plots.LABELS[name])
             axes[0, column].set_title(_heading(session.problem.label(*case)))
             axes[-1, column].set_xlabel("time [ms]")
         _draw_bounds(session, axes)
         axes[0, 0].legend(loc="lower right")
+
+
+def _first(run: Any, name: str, member: int) -> np.ndarray:
+    """A signal of the first axis."""
+    signal = np.asarray(run.signals[name][member])
+    return signal.reshape(len(signal), -1)[:, 0]
+
+
+def _draw_reference(session: Session, column: Any, run: Any, time: np.ndarray) -> None:
+    """The reference, under the signal that follows it."""
+    follows = "T_s" if session.study.law.reference_unit == "Nm" else "theta_L"
+    ax, colour = column[_SIGNALS.index(follows)], plots.COLOURS["reference"]
+    ax.plot(time, _first(run, "reference", 0), color=colour, lw=0.9, ls=":", label="reference")
 
 
 def _both(session: Session, result: Result, index: int, scenario: int) -> Any:
@@ -76,11 +84,12 @@ def _heading(label: str) -> str:
 
 def _draw_bounds(session: Session, axes: Any) -> None:
     """The limit on the torque, where there is one."""
+    colour = plots.COLOURS["limit"]
     for limit in session.spec.objective.limits:
         if limit.metric == "largest_torque_Nm":
             for ax in axes[_SIGNALS.index("T_s")]:
-                for sign in (1.0, -1.0):
-                    ax.axhline(sign * limit.most, color=plots.COLOURS["limit"], ls="--", lw=1.0)
+                both = [ax.axhline(s * limit.most, color=colour, ls="--", lw=1.0) for s in (1, -1)]
+                ax.legend(both[:1], ["limit"], loc="upper right")
 
 
 def _spread(session: Session, result: Result, path: Path) -> None:
@@ -117,27 +126,82 @@ def _draw_shares(ax: Any, scores: Scores, name: str, when: str) -> None:
 
 
 def _convergence(session: Session, path: Path) -> None:
-    """Cost of every start over the iterations; open marks exceed a limit."""
+    """Cost of every start over the iterations: the best start in colour, open marks exceed."""
     stages = list(dict.fromkeys(row["stage"] for row in session.history))
     size = (4.6 * len(stages) + 1.0, 3.6)
+    power = _power([row["cost"] for row in session.history])
+    goals = session.spec.objective.goals
+    what = goals[0].metric if len(goals) == 1 else "sum of the goals"
     with plots.figure(path, 1, len(stages), squeeze=False, size=size) as axes:
         for ax, stage in zip(axes[0], stages, strict=True):
             rows = [row for row in session.history if row["stage"] == stage]
-            for start in sorted({row["start"] for row in rows}):
-                _draw_start(ax, [row for row in rows if row["start"] == start])
+            _draw_stage(ax, rows, 10.0**-power)
             drives = session.spec.count if stage == FULL else session.spec.screen
             ax.set_title(f"{drives} drives" if drives > 1 else "one drive")
-            ax.set_xlabel("iteration (open marks: a limit is exceeded)")
-            costs = [row["cost"] for row in rows]
-            ax.set_yscale("log" if 0.0 < 3.0 * min(costs) < max(costs) else "linear")
-        axes[0, 0].set_ylabel("cost")
+            ax.set_xlabel("iteration")
+        axes[0, 0].set_ylabel(f"cost: {what}" + (f" [$10^{{{power}}}$]" if power else ""))
+        axes[0, -1].legend(loc="upper right")
 
 
-def _draw_start(ax: Any, rows: list[dict[str, Any]]) -> None:
-    x, y = ([row[k] for row in rows] for k in ("iteration", "cost"))
-    (line,) = ax.plot(x, y, lw=1.0)
-    for kept in (True, False):
-        chosen = [i for i, row in enumerate(rows) if (row["violation"] <= 0.0) == kept]
-        face = line.get_color() if kept else "white"
-        xs, ys = [x[i] for i in chosen], [y[i] for i in chosen]
-        ax.plot(xs, ys, "o", ms=3.5, mfc=face, mec=line.get_color(), ls="none")
+def _power(costs: list[float]) -> int:
+    """The power of ten by which costs are written; 0 where they need none."""
+    most = max(map(abs, costs))
+    power = int(np.floor(np.log10(most))) if most > 0.0 else 0
+    return power if abs(power) > 2 else 0
+
+
+def _draw_stage(ax: Any, rows: list[dict[str, Any]], scale: float) -> None:
+    """All starts in grey but the one that ends best, by violation, then cost."""
+    starts = sorted({row["start"] for row in rows})
+    own = {k: [row for row in rows if row["start"] == k] for k in starts}
+    rank = {k: min((r["violation"], r["cost"]) for r in v) for k, v in own.items()}
+    best = min(starts, key=lambda k: rank[k])
+    others = [k for k in starts if k != best]
+    for k in (*others, best):
+        colour = plots.COLOURS["after" if k == best else "before"]
+        name = "best start" if k == best else "other starts" if k == others[0] else None
+        x, y = ([row[n] for row in own[k]] for n in ("iteration", "cost"))
+        y = scale * np.array(y)
+        ax.plot(x, y, lw=1.6 if k == best else 0.8, color=colour, label=name)
+        kept = np.array([row["violation"] <= 0.0 for row in own[k]])
+        ax.plot(np.array(x)[kept], y[kept], "o", ms=3.5, color=colour, ls="none")
+        open_ = "exceeds a limit" if k == best and not kept.all() else None
+        at = np.array(x)[~kept], y[~kept]
+        ax.plot(*at, "o", ms=3.5, mfc="white", mec=colour, ls="none", label=open_)
+    costs = [scale * row["cost"] for row in rows]
+    if 0.0 < 3.0 * min(costs) < max(costs):
+        ax.set_yscale("log")
+        for which in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+            which(_decimal)
+
+
+def _decimal(value: float, _: Any) -> str:
+    """Labels of a logarithmic axis as plain numbers, at 1, 2 and 5 of each decade."""
+    lead = value / 10.0 ** np.floor(np.log10(value) + 1e-9)
+    return f"{value:g}" if round(lead, 6) in (1.0, 2.0, 5.0) else ""
+
+
+def _sensitivities(session: Session, result: Result, path: Path) -> None:
+    """Per cent of each metric of the objective per per cent of each gain, case by case."""
+    names = [f.name for f in session.spec.free]
+    size = (4.6 * len(result.cases) + 1.0, 0.9 + 0.33 * len(names) * len(session.problem.metrics))
+    options = {"squeeze": False, "sharey": True, "size": size}
+    with plots.figure(path, 1, len(result.cases), **options) as axes:
+        for ax, case in zip(axes[0], result.cases, strict=True):
+            _draw_case(ax, session, result, case)
+            ax.set_axisbelow(True)
+            ax.set_title(_heading(session.problem.label(*case)))
+            ax.set_xlabel("% of the metric per % of the gain")
+        axes[0, 0].set_yticks(range(len(names)), names)
+        axes[0, 0].invert_yaxis()
+        axes[0, -1].legend(loc="best")
+
+
+def _draw_case(ax: Any, session: Session, result: Result, case: Case) -> None:
+    told = {(x.metric, x.gain): x.share for x in result.certificate.sensitivities if x.case == case}
+    metrics, free = session.problem.metrics, session.spec.free
+    height = 0.8 / len(metrics)
+    for k, metric in enumerate(metrics):
+        places = np.arange(len(free)) + height * (k - 0.5 * (len(metrics) - 1))
+        ax.barh(places, [told[metric, f.name] for f in free], height=0.9 * height, label=metric)
+    ax.axvline(0.0, color="0.3", lw=0.8)

@@ -1,4 +1,4 @@
-"""Results of a tuning run: files in a folder and the table on the screen."""
+"""Results of a tuning run: the files in its folder that people and programs read."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxsim._certify import STEPS
 from jaxsim.components import dump
 from jaxsim.provenance import provenance, write_json, write_toml
-from tuning.result import Result, Scores, sentences
+from tuning.certificate import Case
+from tuning.result import Result
+from tuning.scoring import Scores
 from tuning.session import Session
 from tuning.spec import describe
+from tuning.words import sentences
 
 
 class Line(NamedTuple):
@@ -28,6 +32,18 @@ class Line(NamedTuple):
     mean: float
     worst: float
     drive: str
+
+
+# What `write` leaves in the folder, next to the plots and report.html.
+FILES = (
+    "law.toml",
+    "result.json",
+    "table.csv",
+    "drives.csv",
+    "history.csv",
+    "certificate.csv",
+    "sensitivity.csv",
+)
 
 
 def lines(session: Session, result: Result) -> dict[str, tuple[Line, Line]]:
@@ -52,7 +68,7 @@ def _line(session: Session, result: Result, scores: Scores, name: str) -> Line:
 
 
 def write(session: Session, result: Result, out: Path) -> None:
-    """law.toml, result.json, table.csv, drives.csv and history.csv, each replaced as a whole."""
+    """Each of `FILES`, replaced as a whole."""
     out.mkdir(parents=True, exist_ok=True)
     table = lines(session, result)
     about = provenance(seed=session.spec.seed, dtype=session.study.run.dtype)
@@ -60,10 +76,12 @@ def write(session: Session, result: Result, out: Path) -> None:
     head = "\n".join([f"Tuned for {session.study.name}. {words[0]}", *words[1:]])
     write_toml(out / "law.toml", {"law": dump(result.law), "provenance": about}, head)
     write_json(out / "result.json", _content(session, result, table, words) | about)
-    _write_csv(out / "table.csv", _TABLE_HEAD, (_flat(name, *pair) for name, pair in table.items()))
-    _write_csv(out / "drives.csv", *_drives(session, result))
+    write_csv(out / "table.csv", _TABLE_HEAD, (_flat(name, *pair) for name, pair in table.items()))
+    write_csv(out / "drives.csv", *_drives(session, result))
     history = session.history
-    _write_csv(out / "history.csv", list(history[0]), (row.values() for row in history))
+    write_csv(out / "history.csv", list(history[0]), (row.values() for row in history))
+    write_csv(out / "certificate.csv", *certificate_table(session, result))
+    write_csv(out / "sensitivity.csv", *sensitivity_table(session, result))
 
 
 def _content(
@@ -78,9 +96,9 @@ def _content(
         "reason": result.reason,
         "words": words,
         "cost": {
-            "before": result.cost(study, result.before),
-            "after": result.cost(study, result.after),
-            "after_at_half_dt": result.cost(study, result.finer),
+            "before": result.before.cost(session.spec.objective),
+            "after": result.after.cost(session.spec.objective),
+            "after_at_half_dt": result.finer.cost(session.spec.objective),
         },
         "gains": {
             name: {"before": b, "after": a, "unit": f.unit}
@@ -97,11 +115,57 @@ def _content(
             name: {"before": before._asdict(), "after": after._asdict()}
             for name, (before, after) in table.items()
         },
+        "certificate": {
+            "verdicts": result.certificate.counts,
+            "steps": STEPS,
+            "components": [
+                c._asdict() | {"case": _named(session, c.case)}
+                for c in result.certificate.components
+            ],
+        },
+        "sensitivities": [
+            x._asdict() | {"case": _named(session, x.case)}
+            for x in result.certificate.sensitivities
+        ],
         "left_out": {session.problem.label(i): why for i, why in session.excluded.items()},
         "seconds": session.seconds,
         "dt": study.run.dt,
         "specification": describe(session.spec),
     }
+
+
+def _named(session: Session, case: Case) -> dict[str, Any]:
+    problem = session.problem
+    values = zip((s.name for s in session.spec.spreads), problem.drives[case.drive], strict=True)
+    return {
+        "drive": case.drive,
+        "scenario": problem.scenarios[case.scenario],
+        "parameters": dict(values),
+    }
+
+
+def certificate_table(session: Session, result: Result) -> tuple[list[str], list[list[Any]]]:
+    """One row per case, metric and gain: gradient of the search, differences, verdict; SI."""
+    label = session.problem.label
+    head = ["case", "metric", "gain", "gradient", *(f"difference_{h:g}" for h in STEPS)]
+    rows = [
+        [label(*c.case), c.metric, c.gain, c.gradient, *c.differences, c.error, c.verdict]
+        for c in result.certificate.components
+    ]
+    return [*head, "scaled_error", "verdict"], rows
+
+
+def sensitivity_table(session: Session, result: Result) -> tuple[list[str], list[list[Any]]]:
+    """One row per case and metric: per cent of the metric per per cent of each gain."""
+    told: dict[tuple[Case, str], list[float]] = {}
+    for x in result.certificate.sensitivities:
+        told.setdefault((x.case, x.metric), []).append(x.share)
+    rows = [
+        [session.problem.label(*case), metric, *shares]
+        for (case, metric), shares in told.items()
+        if not np.isnan(shares).all()
+    ]
+    return ["case", "metric", *(f.name for f in session.spec.free)], rows
 
 
 _TABLE_HEAD = ["metric"] + [
@@ -131,62 +195,9 @@ def _drives(session: Session, result: Result) -> tuple[list[str], list[list[Any]
     return head, rows
 
 
-def _write_csv(path: Path, head: list[str], rows: Iterable[Iterable[Any]]) -> None:
+def write_csv(path: Path, head: list[str], rows: Iterable[Iterable[Any]]) -> None:
+    """A table for people's spreadsheets."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(head)
         writer.writerows(rows)
-
-
-def screen(session: Session, result: Result) -> list[Any]:
-    """What is shown at the end: gains, metrics before and after."""
-    return [_gains_table(session, result), _metrics_table(session, result)]
-
-
-def _gains_table(session: Session, result: Result) -> Any:
-    from rich.table import Table
-
-    shown = Table(title="Gains", title_justify="left")
-    shown.add_column("gain")
-    for column in ("before", "after"):
-        shown.add_column(column, justify="right")
-    shown.add_column("bounds")
-    rows = zip(session.spec.free, result.initial, result.gains, strict=True)
-    for f, before, after in rows:
-        bounds = f"{f.lower:g} to {f.upper:g} {f.unit}"
-        at = " (at a bound)" if min(after - f.lower, f.upper - after) <= 1e-6 * abs(after) else ""
-        shown.add_row(f.name, f"{before:.6g}", f"{after:.6g}", bounds + at)
-    return shown
-
-
-def _metrics_table(session: Session, result: Result) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    count = len(session.problem.scenarios)
-    where = f" in {count} scenarios" if count > 1 else ""
-    title = f"On {len(result.drives)} drives{where}; worst is the largest in size"
-    shown = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    shown.add_column("metric", no_wrap=True)
-    for when in ("before", "after"):
-        for what in ("nominal", "mean", "worst"):
-            shown.add_column(f"{when}\n{what}", justify="right", no_wrap=True)
-    objective = session.problem.metrics
-    for name, pair in lines(session, result).items():
-        values = [v for line in pair for v in line[:3]]
-        if np.isnan(values).all():
-            continue  # this study has no such quantity
-        style = "bold" if name in objective else None
-        last = name == objective[-1]
-        shown.add_row(name, *map(_number, values), style=style, end_section=last)
-    return shown
-
-
-def _number(value: float) -> str:
-    """Three digits in at most eight characters."""
-    if not np.isfinite(value):
-        return "-" if np.isnan(value) else "never"
-    if value == 0.0 or 1e-2 <= abs(value) < 1e4:
-        return f"{value:.3f}" if abs(value) < 10.0 else f"{value:.4g}"
-    mantissa, exponent = f"{value:.2e}".split("e")
-    return f"{mantissa}e{int(exponent)}"

@@ -85,31 +85,23 @@ def _search(session: Any, console: Any) -> None:
 
 def _conclude(session: Any, out: Path, console: Any) -> Any:
     """Score afresh, write everything, say how it went."""
-    from tuning import figures, report
-    from tuning.result import conclude, sentences
+    from tuning import figures, page, report, screen
+    from tuning.result import conclude
+    from tuning.words import sentences
 
-    dt = session.study.run.dt
     with console.status("Scoring afresh on the exact model ..."):
         result = conclude(session)
     report.write(session, result, out)
-    for table in report.screen(session, result):
+    for table in screen.tables(session, result):
         console.print(table)
     style = "bold green" if result.feasible else "bold red"
     first, *rest = sentences(session, result)
     console.print(first, style=style)
     for line in rest:
         console.print(line)
-    before, after, finer = (
-        result.cost(session.study, s) for s in (result.before, result.after, result.finer)
-    )
-    console.print(
-        f"Cost {before:.6g} -> {after:.6g}, scored by fresh runs of the exact model "
-        f"at dt = {dt:g} s; at dt = {0.5 * dt:g} s {finer:.6g}."
-    )
     with console.status("Drawing ..."):
         figures.draw(session, result, out)
-    console.print(
-        f"Wrote law.toml, result.json, table.csv, drives.csv, history.csv, 3 plots: {out}"
-    )
-    console.print(f"Certificate of its gradients: gearlash certify STUDY --law {out / 'law.toml'}")
+        page.write(session, result, out)
+    files = (*report.FILES, *figures.FILES, "report.html")
+    console.print(f"Wrote {', '.join(files)}: {out}")
     return result

@@ -1,0 +1,139 @@
+"""What a tuning run says of its law: the certificate, the price of limits, sensitivities."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_tuning import searched, study
+
+from jaxsim._simulate import simulate
+from jaxsim.hybrid import Plain
+from jaxsim.objective import Limit
+from jaxsim.study import from_table
+from tuning import figures, page, report, space
+from tuning.result import Result, conclude, prices
+from tuning.session import Session, resume
+from tuning.spec import read_spec
+from tuning.words import price, quantity, sentences, unit_of
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    return searched(study(), tmp_path_factory.mktemp("finished"))
+
+
+@pytest.fixture(scope="module")
+def result(finished: Session) -> Result:
+    return conclude(finished)
+
+
+def test_certificate_covers_every_gain_of_the_objective_in_both_cases(
+    finished: Session, result: Result
+) -> None:
+    found = result.certificate.components
+    assert {(c.metric, c.gain, c.case) for c in found} == {
+        (m, f.name, case)
+        for m in finished.problem.metrics
+        for f in finished.spec.free
+        for case in result.cases
+    }
+    assert result.certificate.counts == {"right": len(found)}
+    torques = result.after.values["largest_torque_Nm"][:, 0, 0]
+    pressing = [v.limit.metric for v in result.verdicts if v.price > 0.0]
+    if pressing == ["largest_torque_Nm"]:
+        assert result.worst.drive == int(np.argmax(torques))
+
+
+def test_differences_and_sensitivities_are_those_of_single_runs(
+    finished: Session, result: Result
+) -> None:
+    case, k, h = result.worst, 1, 1e-4
+
+    def value(gain: float, metric: str) -> float:
+        gains = result.gains.copy()
+        gains[k] = gain
+        law = space.with_gains(finished.study.law, finished.spec.free, gains)
+        scenario = finished.study.scenario
+        run = simulate(finished.problem.drive(case.drive), law, scenario, store=None)
+        return float(run.metrics[metric])
+
+    p = float(result.gains[k])
+    for metric in ("itae_rad_s2", "command_rms"):
+        pair = value(p * (1.0 + h), metric), value(p * (1.0 - h), metric)
+        slope = (pair[0] - pair[1]) / (2.0 * h * p)
+        share = [
+            x.share
+            for x in result.certificate.sensitivities
+            if (x.metric, x.gain, x.case) == (metric, finished.spec.free[k].name, case)
+        ]
+        assert share == [pytest.approx(slope * p / value(p, metric), rel=1e-3)]
+        for c in result.certificate.components:
+            if (c.metric, c.gain, c.case) == (metric, finished.spec.free[k].name, case):
+                assert c.differences[2] == pytest.approx(slope, rel=1e-6)
+
+
+def test_plain_gradients_are_called_wrong(tmp_path: Path) -> None:
+    table = study().table | {"run": {"deadzone": "plain"}}
+    session = searched(from_table(table, Path(), "short"), tmp_path)
+    assert isinstance(session.study.run.deadzone, Plain)
+    counts = conclude(session).certificate.counts
+    assert counts.get("wrong", 0) + counts.get("jumps", 0) > 0
+
+
+def test_price_is_what_another_bound_buys_also_after_resume(
+    finished: Session, result: Result, tmp_path: Path
+) -> None:
+    more = 0.01
+    active = [v for v in result.verdicts if v.price > 0.0]
+    assert active
+    for v in active:
+        limits = {x.limit.metric: x.limit.most for x in result.verdicts}
+        limits[v.limit.metric] *= 1.0 + more
+        other = searched(study(limits=limits), tmp_path / v.limit.metric)
+        saved = result.searched - other.progress().cost
+        assert saved == pytest.approx(v.price * more * v.limit.most, rel=0.1)
+
+    again = Session(study(), read_spec(study()), finished.file)
+    resume(again)
+    assert prices(again) == pytest.approx(prices(finished), rel=1e-6)
+
+
+def test_price_is_told_in_the_units_of_goal_and_limit(finished: Session, result: Result) -> None:
+    v = next(v for v in result.verdicts if v.price > 0.0)
+    told = v._replace(limit=Limit("largest_torque_Nm", 1.5, "worst"), price=3e-4)
+    assert price(finished, result, told).startswith(
+        "0.1 Nm more would buy 3e-05 rad s² of itae_rad_s2"
+    )
+    assert quantity(0.003, "settle_2pct_s") == "3 ms"
+    assert unit_of("entry_speed_rad_s") == "rad/s"
+    assert unit_of("command_peak") == ""
+
+
+def test_folder_holds_the_evidence_and_one_html_page(
+    finished: Session, result: Result, tmp_path: Path
+) -> None:
+    report.write(finished, result, tmp_path)
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert content["certificate"]["verdicts"] == result.certificate.counts
+    assert content["certificate"]["components"][0]["case"]["parameters"]["half_gap"] == 7.8e-3
+    assert content["seed"] == finished.spec.seed
+    assert content["versions"]["jax"]
+    with (tmp_path / "sensitivity.csv").open() as file:
+        rows = {(row["case"], row["metric"]): row for row in csv.DictReader(file)}
+    nominal = rows["the study's drive", "itae_rad_s2"]
+    assert {"K_B", "K_P"} < set(nominal)
+
+    page.write(finished, result, tmp_path)
+    bare = (tmp_path / "report.html").read_text("utf-8")
+    assert "<img" not in bare  # nothing is told of pictures that were not drawn
+    figures.draw(finished, result, tmp_path)
+    page.write(finished, result, tmp_path)
+    whole = (tmp_path / "report.html").read_text("utf-8")
+    assert whole.count("<img") == len(figures.FILES)
+    first = sentences(finished, result)[0]
+    assert first in whole
+    assert "http" not in whole.split("</style>")[1].split("<h2")[0]

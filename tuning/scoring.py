@@ -1,0 +1,83 @@
+"""Fresh runs on the exact model: what laws really do, whatever the search ran on."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxsim import batch
+from jaxsim._simulate import simulate
+from jaxsim.hybrid import Exact
+from jaxsim.objective import Objective, Over, reduce
+from tuning.problem import Problem
+
+
+class Scores(NamedTuple):
+    """Metrics of one law: name -> (drives, scenarios, axes); status (drives, scenarios)."""
+
+    values: dict[str, np.ndarray]
+    status: np.ndarray
+
+    def over(self, metric: str, over: Over) -> float:
+        return float(reduce(self.values[metric].reshape(-1), over))
+
+    def worst(self, metric: str) -> tuple[float, int, int]:
+        """The value of largest size, with its sign, and its drive (by row) and scenario."""
+        values = self.values[metric]
+        sizes = np.where(np.isnan(values), -1.0, np.abs(values))
+        row, scenario, axis = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        return float(values[row, scenario, axis]), int(row), int(scenario)
+
+    def cost(self, objective: Objective) -> float:
+        """The weighted sum of the goals."""
+        return sum(g.weight * self.over(g.metric, g.over) for g in objective.goals)
+
+    def part(self, rows: Any) -> Scores:
+        """Some of the drives."""
+        return Scores({k: v[rows] for k, v in self.values.items()}, self.status[rows])
+
+
+def score(
+    problem: Problem, laws: list[np.ndarray], drives: np.ndarray, dt: float, metrics: Any
+) -> list[Scores]:
+    """Each law, given by its gains, on each drive, given by its index, in each scenario."""
+    gains = np.repeat(np.array(laws), len(drives), axis=0)
+    whole = fresh(problem, gains, np.tile(drives, len(laws)), dt, metrics)
+    return [whole.part(slice(k * len(drives), (k + 1) * len(drives))) for k in range(len(laws))]
+
+
+def fresh(
+    problem: Problem, gains: np.ndarray, drives: np.ndarray, dt: float, metrics: Any
+) -> Scores:
+    """One run per row of gains (n, P) and index of a drive (n,), in each scenario.
+
+    metrics: names, None for all. All runs of a scenario are one batch.
+    """
+    study, spec = problem.study, problem.spec
+    paths = {p: gains[:, i] for i, f in enumerate(spec.free) for p in f.paths}
+    law, drive = batch.spread(study.law, **paths), study.drive
+    if spec.spreads:
+        own = problem.drives[drives]
+        drive = batch.spread(drive, **{s.path: own[:, i] for i, s in enumerate(spec.spreads)})
+    deadzone = study.run.deadzone
+    runs = [
+        simulate(
+            drive,
+            law,
+            scenario,
+            dt=dt,
+            deadzone=deadzone if isinstance(deadzone, Exact) else Exact(),
+            metrics=metrics,
+            store=None,
+            dtype=study.run.dtype,
+            throw=False,
+        )
+        for scenario in study.scenarios.values()
+    ]
+    shape = (len(gains), -1)
+    values = {
+        name: np.stack([np.asarray(run.metrics[name], float).reshape(shape) for run in runs], 1)
+        for name in runs[0].metrics
+    }
+    return Scores(values, np.stack([np.asarray(run.status) for run in runs], axis=1))
