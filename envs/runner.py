@@ -87,11 +87,26 @@ class Runner:
         checked = self._checked(actions)
         if not self.started or self._over.any():
             raise InputError("step", "must come after a reset", "no running episode", "reset first")
-        self._state, arrays = self._step(self._state, checked)
-        outcome = Outcome(*(np.array(v) for v in arrays))
+        self._state, rows = self._step(self._state, checked)
+        outcome = self._outcome(np.asarray(rows))
         if not self._restarts:
             self._over = outcome.terminated | outcome.truncated
         return outcome
+
+    def _outcome(self, rows: np.ndarray) -> Outcome:
+        """The columns of `_columns`, copied: what comes out of JAX cannot be written to."""
+        wide = len(self.env.task.channels)
+        observation, final = rows[:, :wide], rows[:, wide : 2 * wide]
+        reward, terminated, truncated, status = rows[:, 2 * wide : 2 * wide + 4].T
+        return Outcome(
+            observation.astype(np.float32),
+            final.astype(np.float32),
+            reward.copy(),
+            terminated != 0.0,
+            truncated != 0.0,
+            status.astype(np.int32),
+            rows[:, 2 * wide + 4 :].copy(),
+        )
 
     def state(self) -> Any:
         """The `State` of all members, for pictures and tests; a copy.
@@ -154,13 +169,19 @@ def _compiled(env: Environment, restarts: bool) -> tuple[Any, Any, Any]:
         old = unpacked(state)
         done = jax.vmap(env.step)(old, actions)
         after, observation = _restarted(env, done) if restarts else (done.state, done.observation)
-        # By name: dictionaries come out of vmap in alphabetical order.
-        numbers = jnp.stack([done.info.numbers[name] for name in env.task.terms], axis=-1)
-        final, status = done.observation, done.info.status
-        flags = done.terminated, done.truncated
-        return packed(after), (observation, final, done.reward, *flags, status, numbers)
+        return packed(after), _columns(env, done, observation)
 
     return jax.jit(reset), jax.jit(step), unpacked
+
+
+def _columns(env: Environment, done: Step, observation: Any) -> Any:
+    """One array of all that a step tells; to fetch seven would take 12 us more."""
+    # By name: dictionaries come out of vmap in alphabetical order.
+    numbers = (done.info.numbers[name] for name in env.task.terms)
+    single = done.reward, done.terminated, done.truncated, done.info.status, *numbers
+    dtype = jnp.promote_types(done.reward.dtype, jnp.float32)
+    columns = observation, done.observation, jnp.stack([v.astype(dtype) for v in single], -1)
+    return jnp.concatenate([v.astype(dtype) for v in columns], axis=-1)
 
 
 def _rows(leaves: list[Any]) -> dict[str, Any]:
