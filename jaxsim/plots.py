@@ -75,7 +75,13 @@ def figure(path: Path, rows: int = 1, columns: int = 1, **options: Any) -> Itera
 
 
 def responses(path: Path, runs: Mapping[str, Any], names: tuple[str, ...], title: str) -> None:
-    """Signals of stored one-axis runs over time, one row per signal and one line per run."""
+    """Signals of stored one-axis runs over time, one row per signal and one line per run.
+
+    The reference of the first run is drawn where it belongs: with the load angle in rad, or with
+    the joint torque in Nm.
+    """
+    first = next(iter(runs.values()))
+    followed = {"rad": "theta_L", "Nm": "T_s"}.get(first.units["reference"])
     with figure(
         path, len(names), sharex=True, squeeze=False, size=(8.0, 2.1 * len(names) + 0.6)
     ) as axes:
@@ -83,9 +89,14 @@ def responses(path: Path, runs: Mapping[str, Any], names: tuple[str, ...], title
             for label, run in runs.items():
                 colour = COLOURS.get(label)
                 ax.plot(1e3 * np.asarray(run.time), run.signals[name], label=label, color=colour)
+            if name == followed:
+                reference = first.signals["reference"]
+                ax.plot(
+                    1e3 * np.asarray(first.time), reference, ":", color="0.3", label="reference"
+                )
             ax.set_ylabel(LABELS.get(name, name))
         axes[0, 0].set_title(title)
-        axes[0, 0].legend(ncols=len(runs))
+        axes[0, 0].legend(ncols=len(runs) + 1)
         axes[-1, 0].set_xlabel("time [ms]")
 
 
