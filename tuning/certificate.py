@@ -13,7 +13,7 @@ from tuning.problem import Outcome, Problem
 from tuning.scoring import Scores
 
 # Differences at these two steps (1e-4 and 1e-5 of a gain) must agree for a sensitivity to be told.
-_PAIR = (2, 3)
+PAIR = (2, 3)
 _AGREE, _SMALL = 0.02, 1e-3
 
 
@@ -169,7 +169,7 @@ def _sensitivities(
     gains: np.ndarray,
 ) -> list[Sensitivity]:
     with np.errstate(invalid="ignore", divide="ignore"):
-        coarse, fine = differences[list(_PAIR)] * gains / value
+        coarse, fine = differences[list(PAIR)] * gains / value
         same = np.abs(coarse - fine) <= _AGREE * np.maximum(abs(coarse), abs(fine)) + _SMALL
     told = np.where(same & np.isfinite(fine) & (gains != 0.0), fine, np.nan)
     return [

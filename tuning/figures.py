@@ -16,7 +16,7 @@ from tuning.result import Result
 from tuning.scoring import Scores
 from tuning.session import FULL, Session
 
-_TITLE = 60  # characters of a title that a panel has room for
+_TITLE = 52  # characters of a title that a panel has room for
 _SIGNALS = ("theta_L", "T_s", "T_M")
 _WHEN = ("before", "after")
 FILES = ("responses.png", "spread.png", "convergence.png", "sensitivities.png")
@@ -89,7 +89,7 @@ def _draw_bounds(session: Session, axes: Any) -> None:
         if limit.metric == "largest_torque_Nm":
             for ax in axes[_SIGNALS.index("T_s")]:
                 both = [ax.axhline(s * limit.most, color=colour, ls="--", lw=1.0) for s in (1, -1)]
-                ax.legend(both[:1], ["limit"], loc="upper right")
+                ax.legend(both[:1], ["limit"], loc="center right")
 
 
 def _spread(session: Session, result: Result, path: Path) -> None:

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxsim._certify import STEPS
 from jaxsim.html import Picture, Section, Summary, Table, Text, write_html
 from jaxsim.provenance import provenance
-from tuning.report import Line, certificate_table, lines, sensitivity_table
+from tuning.certificate import PAIR
+from tuning.report import Line, lines, sensitivity_table
 from tuning.result import Result, Verdict
 from tuning.session import Session
 from tuning.words import at_bound, sentences, unit_of
@@ -107,21 +109,39 @@ def _known(value: float) -> float | None:
 
 
 def _certificate(session: Session, result: Result) -> list[Any]:
-    head, rows = certificate_table(session, result)
+    """One table per case; certificate.csv has the differences at all steps."""
     text = (
         "Right: the gradient that the search used agrees with central differences of runs on the "
         "exact model for two neighbouring steps, within 1 % of its size or 1e-4 of the scaled "
         "gradient. Zero: the metric does not depend on any gain here. Jumps: the metric itself is "
-        "discontinuous here. Steps are relative to the gain."
+        "discontinuous here. The error is for a change of the gain by its own size; differences "
+        "at all steps are in certificate.csv."
     )
-    return [Text([text]), Table("d metric/d gain, SI.", head, rows)]
+    head = ["metric", "gain", "gradient", *(f"difference, {STEPS[k]:g}" for k in PAIR)]
+    tables = []
+    for case in result.cases:
+        own = [c for c in result.certificate.components if c.case == case]
+        rows = [
+            [c.metric, c.gain, c.gradient, *(c.differences[k] for k in PAIR), c.error, c.verdict]
+            for c in own
+        ]
+        caption = f"d metric/d gain, SI, on {session.problem.label(*case)}."
+        tables.append(Table(caption, [*head, "error", "verdict"], rows))
+    return [Text([text]), *tables]
 
 
 def _sensitivities(session: Session, result: Result, out: Path) -> list[Any]:
+    """One table per case, metrics of the objective first."""
     head, rows = sensitivity_table(session, result)
-    shown = [[*row[:2], *map(_known, row[2:])] for row in rows]
-    caption = "Per cent of the metric per per cent of the gain, from differences of exact runs."
-    return [*_pictures(out, "sensitivities.png"), Table(caption, head, shown)]
+    wanted = session.problem.metrics
+    parts: list[Any] = _pictures(out, "sensitivities.png")
+    for case in result.cases:
+        label = session.problem.label(*case)
+        own = [[row[1], *map(_known, row[2:])] for row in rows if row[0] == label]
+        own.sort(key=lambda row: wanted.index(row[0]) if row[0] in wanted else len(wanted))
+        what = "Per cent of the metric per per cent of the gain, from differences of exact runs"
+        parts.append(Table(f"{what}, on {label}.", head[1:], own))
+    return parts
 
 
 def _search(session: Session) -> Table:
