@@ -23,6 +23,8 @@ from tuning.subproblem import Step, best_step, merit
 
 # Points on the unit cube -> the objective there, or words for why it cannot be evaluated.
 Look = Callable[[np.ndarray], list[Local | str]]
+# The same, told which state each point is of.
+LookEach = Callable[[np.ndarray, list[int]], list[Local | str]]
 
 RUNNING, CONVERGED, STALLED, FAILED, SPENT = "running", "converged", "stalled", "failed", "spent"
 _FIRST_RADIUS = 0.1
@@ -90,10 +92,17 @@ def advance(states: Sequence[State], look: Look, tolerance: float, most: int) ->
 
     tolerance: a step shorter than this, on the unit cube, ends a start. most: iterations.
     """
+    return advance_each(states, lambda points, _: look(points), tolerance, most)
+
+
+def advance_each(
+    states: Sequence[State], look: LookEach, tolerance: float, most: int
+) -> list[State]:
+    """One iteration of states that have an objective of their own each; as `advance`."""
     proposed = [_propose(s, tolerance, most) if s.status == RUNNING else s for s in states]
     trying = [i for i, s in enumerate(proposed) if s.status == RUNNING]
     if trying:
-        found = look(np.array([_trial(proposed[i]) for i in trying]))
+        found = look(np.array([_trial(proposed[i]) for i in trying]), trying)
         for i, local in zip(trying, found, strict=True):
             proposed[i] = _judge(proposed[i], local)
     return proposed
