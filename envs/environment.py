@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from envs.pruned import prune
-from envs.task import TASKS, Seen, Task
+from envs.task import TASKS, Task
 from jaxsim import engine
 from jaxsim.catalog import METRICS
 from jaxsim.errors import InputError
@@ -18,6 +18,7 @@ from jaxsim.hybrid import Deadzone, Exact, Plain
 from jaxsim.law import Measured, as_joint_law
 from jaxsim.loop import ClosedLoop, When, cast
 from jaxsim.metric import choose, task_of
+from jaxsim.observation import Horizon, Memory, Seen, act, first_memory, observe, remember
 from jaxsim.sampled import Encoders, Sensors, TrueSpeeds
 from jaxsim.status import Status
 
@@ -34,6 +35,7 @@ class State(NamedTuple):
     loop: ClosedLoop
     carry: engine.Carry
     seen: Measured
+    memory: Memory
     action: tuple[Scalar, ...]
     cost: Scalar
     key: Any
@@ -104,14 +106,16 @@ class Environment(eqx.Module):
         loop = ClosedLoop(drive, law, scenario, self.deadzone, self.dt)
         metrics = self._metrics(loop)
         carry = engine.start(loop, tuple(tuple(m.start() for m in own) for own in metrics))
-        y = _measured(loop, carry)
+        before = _measured(loop, carry, -1.0)
         # Read twice: the drive has been at rest, rounding is no speed.
-        seen = self._read(loop, y, self._read(loop, y, y))
+        rest = self._read(loop, before, before)
+        seen = self._read(loop, _measured(loop, carry), rest)
+        memory = remember(first_memory(rest), seen, self._horizon(loop))
         zero = jnp.zeros((), self.dtype)
         numbers = _numbers(self.task, metrics, carry)
         action = (zero,) * len(self.task.actions)
-        state = State(loop, carry, seen, action, self.task.cost(numbers), following)
-        return state, self._observe(state, numbers)
+        state = State(loop, carry, seen, memory, action, self.task.cost(numbers), following)
+        return state, self._observe(state)
 
     def step(self, state: State, action: Any) -> Step:
         """Hold an action over one control period.
@@ -119,7 +123,7 @@ class Environment(eqx.Module):
         action: (actions,) in [-1, 1]. It is not checked here; Gymnasium and SB3 doors do.
         """
         actions = tuple(jnp.asarray(action[i], self.dtype) for i in range(len(self.task.actions)))
-        law = self.task.act(state.loop.law, actions)
+        law = act(self.task.actions, state.loop.law, actions)
         loop = eqx.tree_at(lambda v: v.law, state.loop, law)
         metrics = self._metrics(loop)
         until = state.carry.tick + self.ticks
@@ -128,12 +132,13 @@ class Environment(eqx.Module):
         numbers = _numbers(self.task, metrics, carry)
         cost = self.task.cost(numbers)
         seen = self._read(loop, _measured(loop, carry), state.seen)
-        new = State(loop, carry, seen, actions, cost, state.key)
+        memory = remember(state.memory, seen, self._horizon(loop))
+        new = State(loop, carry, seen, memory, actions, cost, state.key)
         failed = carry.status != Status.OK.value
         over = ~failed & (carry.tick >= self.ticks * self.steps)
         reward = self._reward(state, new, failed)
         info = Info(carry.status, numbers)
-        return Step(new, self._observe(new, numbers), reward, failed, over, info)
+        return Step(new, self._observe(new), reward, failed, over, info)
 
     def _reward(self, old: State, new: State, failed: Scalar) -> Scalar:
         pairs = zip(new.action, old.action, strict=True)
@@ -149,20 +154,25 @@ class Environment(eqx.Module):
     def _read(self, loop: ClosedLoop, y: Measured, last: Measured) -> Measured:
         return self.sensors.read(y, last, loop.ratios[0], self.task.period)
 
-    def _observe(self, state: State, numbers: dict[str, Scalar]) -> Any:
-        total = self.ticks * self.steps
-        remaining = (total - state.carry.tick).astype(self.dtype) / total
+    def _horizon(self, loop: ClosedLoop) -> Horizon:
+        unit = loop.law.reference_unit or "rad"
+        return Horizon(self.task.period, self.task.duration, unit)
+
+    def _observe(self, state: State) -> Any:
         x = state.carry.x
-        seen = Seen(state.seen, x.drive[0].motor, x.law, state.action, remaining, numbers)
-        scaled = self.task.scaled(self.task.observe(seen))
+        seen = Seen(state.seen, x.drive[0].motor, x.law, state.action, state.memory)
+        scaled = observe(self.task.channels, seen, self._horizon(state.loop))
         # A failed run is not finite; its observation must stay in the box all the same.
         return jnp.nan_to_num(scaled.astype(jnp.float32))
 
 
-def _measured(loop: ClosedLoop, carry: engine.Carry) -> Measured:
-    """What there is to measure at a tick; after the events there, of a reference as it is now."""
+def _measured(loop: ClosedLoop, carry: engine.Carry, after: float = 1e-6) -> Measured:
+    """What there is to measure at a tick; after the events there, of a reference as it is now.
+
+    after: the instant at which the reference is looked up, in steps from the tick.
+    """
     t = carry.tick.astype(carry.elapsed.dtype) * loop.dt
-    (outputs,) = loop.outputs(When(t, t + 1e-6 * loop.dt), carry.x, carry.modes, carry.held)
+    (outputs,) = loop.outputs(When(t, t + after * loop.dt), carry.x, carry.modes, carry.held)
     return Measured(*(getattr(outputs, name) for name in Measured._fields))
 
 

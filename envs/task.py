@@ -12,22 +12,13 @@ import jax.numpy as jnp
 
 from jaxsim.catalog import Catalog
 from jaxsim.drive import Drive
-from jaxsim.law import Control, Measured
+from jaxsim.law import Control
+from jaxsim.observation import Action, Channel
 from jaxsim.scenario import Scenario
 
 Scalar = Any
 
 TASKS = Catalog("tasks", "envs.tasks", "envs.task:Task")
-
-
-class Channel(NamedTuple):
-    """One entry of an observation or action: the value over its full scale, clipped to the box."""
-
-    name: str
-    unit: str
-    full_scale: float
-    low: float = -1.0
-    high: float = 1.0
 
 
 class Range(NamedTuple):
@@ -38,22 +29,6 @@ class Range(NamedTuple):
 
     def draw(self, key: Any) -> Scalar:
         return jax.random.uniform(key, (), jnp.float32, self.low, self.high)
-
-
-class Seen(NamedTuple):
-    """What a task may put into an observation, in SI units.
-
-    y: readings of the sensors; motor, law: the states of the motor and of the classical law,
-    trees; action: the last one, in the box; remaining: share of the episode that is left;
-    numbers: the metrics so far.
-    """
-
-    y: Measured
-    motor: Any
-    law: Any
-    action: tuple[Scalar, ...]
-    remaining: Scalar
-    numbers: dict[str, Scalar]
 
 
 class Task(eqx.Module):
@@ -72,7 +47,7 @@ class Task(eqx.Module):
     terms: ClassVar[Mapping[str, float]]
     action_rate: ClassVar[float]
     failure: ClassVar[float]
-    actions: ClassVar[tuple[Channel, ...]]
+    actions: ClassVar[tuple[Action, ...]]
     channels: ClassVar[tuple[Channel, ...]]
 
     @abc.abstractmethod
@@ -83,23 +58,10 @@ class Task(eqx.Module):
     def law(self) -> Control:
         """The law that commands the motor before the first action."""
 
-    @abc.abstractmethod
-    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
-        """The law under an action in the box."""
-
-    @abc.abstractmethod
-    def observe(self, seen: Seen) -> tuple[Scalar, ...]:
-        """The values of `channels`, in SI units."""
-
     def cost(self, numbers: dict[str, Scalar]) -> Scalar:
         """The mean of the terms, each over its nominal value."""
         parts = [numbers[name] / nominal for name, nominal in self.terms.items()]
         return sum(parts[1:], parts[0]) / len(parts)
 
-    def scaled(self, values: tuple[Scalar, ...]) -> Any:
-        """An observation: values over their full scales, clipped to the box; (channels,) array."""
-        pairs = zip(self.channels, values, strict=True)
-        return jnp.stack([jnp.clip(v / c.full_scale, c.low, c.high) for c, v in pairs])
 
-
-__all__ = ["TASKS", "Channel", "Range", "Seen", "Task"]
+__all__ = ["TASKS", "Range", "Task"]

@@ -27,7 +27,9 @@ from jaxsim.catalog import (
 from jaxsim.derivative import Derivatives
 from jaxsim.drive import Drive, Load, Motor, Transmission
 from jaxsim.errors import InputError
+from jaxsim.laws import policy
 from jaxsim.motors import dc
+from jaxsim.observation import Action, Channel
 from jaxsim.parameters import all_parameters
 from jaxsim.quantity import to_si
 from jaxsim.sampled import Sensors
@@ -60,6 +62,10 @@ KINDS: dict[type, _Kind] = {
     dc.Stribeck: _Kind(None, {"stribeck": dc.Stribeck}, None),
     dc.Supply: _Kind(None, {"supply": dc.Supply}, None),
     Start: _Kind(None, {"start": Start}, None),
+    policy.Network: _Kind(None, {"network": policy.Network}, None),
+    policy.Layer: _Kind(None, {"layer": policy.Layer}, None),
+    Channel: _Kind(None, {"channel": Channel}, None),
+    Action: _Kind(None, {"action": Action}, None),
     Drive: _Kind(None, {"drive": Drive}, None),
 }
 
@@ -284,6 +290,24 @@ def _name_of(cls: type) -> str | None:
             "define it at the top of a module",
         )
     return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def read_json(path: Path) -> Table:
+    """A JSON file that holds one object.
+
+    Raises: InputError where it is missing, cannot be read or is not JSON (with the place).
+    """
+    import json
+
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except FileNotFoundError:
+        raise InputError(str(path), "must be a file", "nothing there", "check the path") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(str(path), "must be readable text", str(error), "check the file") from None
+    except json.JSONDecodeError as error:
+        raise InputError(str(path), "must be JSON", str(error), "is the file complete?") from None
+    return dict(_table(content, str(path)))
 
 
 def read_toml(path: Path) -> Table:

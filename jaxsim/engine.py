@@ -302,7 +302,7 @@ def _micro_step(
     x, length = _shift(trial.x, trial.end_rates, shift), trial.h + shift
     ticked = verdict.accept & ~verdict.landed & trial.to_tick
     new = _moved(c, trial, verdict, x, length, ticked)
-    if loop.sampled:
+    if loop.clocked:
         now = When(trial.when.t + length, trial.when.t + length)
         turned = loop.on_tick(new.tick, now, x, new.modes, c.held)
         new = new._replace(held=choose(ticked, turned, c.held))

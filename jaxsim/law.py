@@ -201,6 +201,46 @@ class JointLaw(Control):
         """The commands to the motors, Nm or V."""
 
 
+class Supervised(JointLaw):
+    """A law at work, continuous, and something that sets its parameters anew at samples.
+
+    The engine integrates `under(held)` and gives the supervisor its turn at every tick.
+
+    Raises: InputError where it stands in a sum or inside `Sampled`: it would never get its turn.
+    """
+
+    @abc.abstractmethod
+    def ticks(self, dt: float) -> int:
+        """Its period in integration steps. Raises: InputError when dt does not divide it."""
+
+    @abc.abstractmethod
+    def start(self, ys: tuple[Measured, ...], dt: float) -> Any:
+        """Its memory before the first sample."""
+
+    @abc.abstractmethod
+    def on_tick(
+        self, tick: Scalar, ys: tuple[Measured, ...], held: Any, ratios: tuple, dt: float,
+        states: tuple[Any, Any],
+    ) -> Any:  # fmt: skip
+        """Its memory after a tick; states: of the law at work, and of the motors per axis."""
+
+    @abc.abstractmethod
+    def under(self, held: Any) -> JointLaw:
+        """The law at work as it is set now."""
+
+    def __add__(self, other: Control) -> Any:
+        raise _not_alone(self)
+
+    def check_period(self, period: float) -> None:
+        raise _not_alone(self)
+
+
+def _not_alone(law: Any) -> InputError:
+    name = type(law).__name__
+    fix = "put the other law into its `base`"
+    return InputError("law", "must stand alone where it is sampled itself", name, fix)
+
+
 class Decentral(JointLaw):
     """One law per axis, each seeing its own axis only: the joint law of a drive.
 
@@ -253,6 +293,9 @@ class JointSum(JointLaw):
     laws: tuple[JointLaw, ...] = eqx.field(converter=lambda parts: tuple(map(_joint, parts)))
 
     def __check_init__(self) -> None:
+        for law in self.laws:
+            if isinstance(law, Supervised):
+                raise _not_alone(law)
         axes = [law.axes for law in self.laws]
         if len(set(axes)) != 1:
             raise InputError(

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxsim.drive import AxisState, Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Surface, switch_all
-from jaxsim.law import Measured, Scalar, as_joint_law, share
+from jaxsim.law import Measured, Scalar, Supervised, as_joint_law, share
 from jaxsim.parameters import all_valid
 from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario
@@ -107,12 +107,22 @@ class ClosedLoop(eqx.Module):
                 self.law.command_unit,
                 "choose a law for this motor",
             )
-        if self.sampled:
+        if self.clocked:
             self.law.ticks(dt)
 
     @property
     def sampled(self) -> bool:
+        """Whether the command is held, and no state of a law integrated."""
         return isinstance(self.law, Sampled)
+
+    @property
+    def clocked(self) -> bool:
+        """Whether the law has a turn at ticks."""
+        return isinstance(self.law, Sampled | Supervised)
+
+    def _at_work(self, held: Any) -> Any:
+        """The law that is integrated with the drive."""
+        return self.law.under(held) if isinstance(self.law, Supervised) else self.law
 
     @property
     def ratios(self) -> tuple[Scalar, ...]:
@@ -156,9 +166,8 @@ class ClosedLoop(eqx.Module):
         signs = tuple(tuple(zero for _ in t.surfaces) for t in self.drive.transmission)
         signs = jax.tree.map(jnp.sign, self.drive.guards(drive, signs))
         ys = self._measure(When(zero, zero - 1.0), drive, self._drive_switches(drive, signs))
-        if self.sampled:
-            return State(drive, ()), self.law.start(ys, self.dt)
-        return State(drive, self.law.rest(ys)), ()
+        held = self.law.start(ys, self.dt) if self.clocked else ()
+        return State(drive, () if self.sampled else self.law.rest(ys)), held
 
     def _axis_start(self, axis: int, start: Any) -> AxisState:
         ratio = self.ratios[axis]
@@ -199,9 +208,10 @@ class ClosedLoop(eqx.Module):
         ys = self._measure(when, x.drive, transmission)
         law, commands = (), held.command if self.sampled else ()
         if not self.sampled:
-            guards = self.law.guards(x.law, ys)
-            law = switch_all(self.deadzone, self.law.surfaces, guards, shares[2 * axes :])
-            commands = self.law.command(x.law, ys, law)
+            own = self._at_work(held)
+            guards = own.guards(x.law, ys)
+            law = switch_all(self.deadzone, own.surfaces, guards, shares[2 * axes :])
+            commands = own.command(x.law, ys, law)
         surfaces = tuple(m.surfaces for m in self.drive.motor)
         own = shares[axes : 2 * axes]
         motor = switch_all(self.deadzone, surfaces, self._motor_guards(x, ys, commands, own), own)
@@ -224,7 +234,7 @@ class ClosedLoop(eqx.Module):
         else:
             values += ((),) * axes
         if not self.sampled:
-            values += self.law.guards(x.law, ys)
+            values += self._at_work(held).guards(x.law, ys)
         return tuple(v for own in values for v in own)
 
     def field(self, when: When, x: State, modes: tuple[Scalar, ...], held: Any) -> State:
@@ -232,7 +242,7 @@ class ClosedLoop(eqx.Module):
         view = self._look(when, x, modes, held)
         loads = tuple(d.value(*when) for d in self.scenario.load_torque)
         rates = self.drive.field(x.drive, view.commands, loads, view.transmission, view.motor)
-        law = () if self.sampled else self.law.field(x.law, view.ys, view.law)
+        law = () if self.sampled else self._at_work(held).field(x.law, view.ys, view.law)
         return State(rates, law)
 
     def definite(self, x: State, rates: State, h: Scalar) -> Scalar:
@@ -272,11 +282,14 @@ class ClosedLoop(eqx.Module):
     def on_tick(
         self, tick: Scalar, when: When, x: State, modes: tuple[Scalar, ...], held: Any
     ) -> Any:
-        """The sampled law's turn at a tick; nothing for continuous laws."""
-        if not self.sampled:
+        """The turn of a sampled law or of a supervisor; nothing for continuous laws."""
+        if not self.clocked:
             return held
         ys = self._look(when, x, modes, held).ys
-        return self.law.on_tick(tick, ys, held, self.ratios, self.dt)
+        if self.sampled:
+            return self.law.on_tick(tick, ys, held, self.ratios, self.dt)
+        motors = tuple(s.motor for s in x.drive)
+        return self.law.on_tick(tick, ys, held, self.ratios, self.dt, (x.law, motors))
 
     def next_break(self, t: Scalar) -> Scalar:
         """The next breakpoint of any signal after t, s."""

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from jaxsim import tree
 from jaxsim.catalog import DRIVES
-from jaxsim.components import build, override, read_toml
+from jaxsim.components import build, override, read_json, read_toml
 from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact, Plain, Smoothed
@@ -181,7 +181,15 @@ def _law(given: Any, folder: Path, drive: Drive) -> Any:
         rest = dict(given)
         table, place = _other(rest.pop("file"), "law", folder)
         return override(_law(table, place, drive), rest, "law")
+    if isinstance(given, Mapping) and "weights" in given:
+        given = _with_weights(dict(given), folder)
     return as_joint_law(build(Control, given, "law", drive), drive.axes)
+
+
+def _with_weights(law: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """`weights = FILE`: thousands of numbers have a JSON file of their own beside the study."""
+    stored = read_json(folder / _text(law.pop("weights"), "law.weights"))
+    return {**stored, **law}
 
 
 def _other(name: Any, section: str, folder: Path) -> tuple[Any, Path]:

@@ -8,9 +8,10 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 
-from envs.task import Channel, Range, Seen, Task
+from envs.task import Range, Task
 from jaxsim.drive import Drive
 from jaxsim.law import Law
+from jaxsim.observation import Channel
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.step import Step
 from jaxsim.study import load
@@ -56,7 +57,10 @@ SENSED = (
     Channel("-T_s max", "Nm", 20.0, 0.0),
     Channel("overshoot", "rad", 10.0, 0.0),
 )
-LAW_STATE = (Channel("filtered reference", "rad", 1.0), Channel("filtered error", "rad", 10.0))
+LAW_STATE = (
+    Channel("filtered reference", "rad", 1.0, state=0),
+    Channel("filtered error", "rad", 10.0, state=1),
+)
 
 
 class Position(Task):
@@ -95,23 +99,6 @@ class Position(Task):
         reference = Step(drawn.reference, _ONSET)
         load_torque = Step(drawn.load_torque, drawn.load_at)
         return drive, Scenario(reference, load_torque, start, duration=self.duration)
-
-    def observe(self, seen: Seen) -> tuple[Scalar, ...]:
-        y, numbers = seen.y, seen.numbers
-        return (
-            y.reference,
-            y.reference - y.theta_L,
-            y.theta_B,
-            y.omega_L,
-            y.omega_M,
-            y.omega_B,
-            *seen.action,
-            seen.remaining,
-            numbers["T_s_max_Nm"],
-            -numbers["T_s_min_Nm"],
-            numbers["overshoot_rad"],
-            *jax.tree.leaves(seen.law),
-        )
 
 
 def switched_law() -> Law:

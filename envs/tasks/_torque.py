@@ -8,9 +8,10 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 
-from envs.task import Channel, Range, Seen, Task
+from envs.task import Range, Task
 from jaxsim.drive import Drive
 from jaxsim.motors.dc import Supply
+from jaxsim.observation import Channel
 from jaxsim.scenario import Scenario
 from jaxsim.signals.step import Step
 from jaxsim.study import load
@@ -92,19 +93,3 @@ class Torque(Task):
         reference = Step(drawn.reference, _ONSET)
         load_torque = Step(drawn.load_torque, drawn.load_at)
         return drive, Scenario(reference, load_torque, duration=self.duration)
-
-    def observe(self, seen: Seen) -> tuple[Scalar, ...]:
-        y, numbers = seen.y, seen.numbers
-        return (
-            y.reference,
-            y.reference - y.T_s,
-            y.theta_L,
-            y.omega_L,
-            y.omega_M,
-            seen.motor[0],
-            *seen.action,
-            seen.remaining,
-            numbers["torque_error_rms_Nm"],
-            numbers["torque_overshoot_pct"],
-            *jax.tree.leaves(seen.law),
-        )

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import equinox as eqx
-
-from envs.held import Held
-from envs.task import Channel
 from envs.tasks._position import SENSED, Position
 from jaxsim.law import Law
-
-Scalar = Any
+from jaxsim.laws.held_command import HeldCommand
+from jaxsim.observation import Action, Channel
 
 
 class BacklashPosition(Position):
@@ -25,7 +21,7 @@ class BacklashPosition(Position):
 
     Observation (11,): value over full scale, clipped to the box. Angles are read by encoders of
     2^20 counts; speeds are their mean over the last period. The remaining time and the running
-    maxima are what the cost to come depends on.
+    maxima (of the samples) are what the cost to come depends on.
 
     | index | name | unit | full scale | low | high |
     |---|---|---|---|---|---|
@@ -46,12 +42,8 @@ class BacklashPosition(Position):
     minus 1e-3 times the squared change of the action.
     """
 
-    actions: ClassVar[tuple[Channel, ...]] = (Channel("T_M", "Nm", 3.0),)
+    actions: ClassVar[tuple[Action, ...]] = (Action("T_M", "Nm", 3.0, "level"),)
     channels: ClassVar[tuple[Channel, ...]] = SENSED
 
     def law(self) -> Law:
-        return Held()
-
-    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
-        torque = self.actions[0].full_scale * action[0]
-        return eqx.tree_at(lambda v: v.laws[0].level, law, torque)
+        return HeldCommand()

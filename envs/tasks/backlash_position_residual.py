@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import equinox as eqx
-
-from envs.held import Held
-from envs.task import Channel
 from envs.tasks._position import LAW_STATE, SENSED, Position, switched_law
 from jaxsim.law import Law
-
-Scalar = Any
+from jaxsim.laws.held_command import HeldCommand
+from jaxsim.observation import Action, Channel
 
 
 class BacklashPositionResidual(Position):
@@ -45,12 +41,8 @@ class BacklashPositionResidual(Position):
     Reward: as in `BacklashPosition`.
     """
 
-    actions: ClassVar[tuple[Channel, ...]] = (Channel("added T_M", "Nm", 1.0),)
+    actions: ClassVar[tuple[Action, ...]] = (Action("added T_M", "Nm", 1.0, "level"),)
     channels: ClassVar[tuple[Channel, ...]] = SENSED + LAW_STATE
 
     def law(self) -> Law:
-        return switched_law() + Held()
-
-    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
-        torque = self.actions[0].full_scale * action[0]
-        return eqx.tree_at(lambda v: v.laws[0].laws[1].level, law, torque)
+        return switched_law() + HeldCommand()

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import equinox as eqx
-
-from envs.task import Channel
 from envs.tasks._position import LAW_STATE, SENSED, Position, switched_law
 from jaxsim.law import Law
-
-Scalar = Any
+from jaxsim.observation import Action, Channel
 
 
 class BacklashPositionSchedule(Position):
@@ -44,12 +40,8 @@ class BacklashPositionSchedule(Position):
     Reward: as in `BacklashPosition`.
     """
 
-    actions: ClassVar[tuple[Channel, ...]] = (Channel("K_B + 1.5", "Nm s/rad", 1.5),)
+    actions: ClassVar[tuple[Action, ...]] = (Action("K_B + 1.5", "Nm s/rad", 1.5, "K_B", -1.5),)
     channels: ClassVar[tuple[Channel, ...]] = SENSED + LAW_STATE
 
     def law(self) -> Law:
         return switched_law()
-
-    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
-        K_B = self.actions[0].full_scale * (action[0] - 1.0)
-        return eqx.tree_at(lambda v: v.laws[0].law.laws[1].K_B, law, K_B)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import equinox as eqx
-
-from envs.held import Held
-from envs.task import Channel
 from envs.tasks._torque import SENSED, VOLTAGE, Torque
 from jaxsim.law import Control
-
-Scalar = Any
+from jaxsim.laws.held_command import HeldCommand
+from jaxsim.observation import Action, Channel
 
 
 class TorqueTracking(Torque):
@@ -46,13 +42,9 @@ class TorqueTracking(Torque):
     change of the action.
     """
 
-    actions: ClassVar[tuple[Channel, ...]] = (Channel("voltage", "V", VOLTAGE),)
+    actions: ClassVar[tuple[Action, ...]] = (Action("voltage", "V", VOLTAGE, "level"),)
     channels: ClassVar[tuple[Channel, ...]] = SENSED
 
     def law(self) -> Control:
         # The law itself looks at no reference; the metrics must know that it is a torque.
-        return Held(command_unit="V", follows="Nm")
-
-    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
-        voltage = self.actions[0].full_scale * action[0]
-        return eqx.tree_at(lambda v: v.laws[0].level, law, voltage)
+        return HeldCommand(command_unit="V", follows="Nm")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import equinox as eqx
-
-from envs.held import Held
-from envs.task import Channel
 from envs.tasks._torque import SENSED, Torque
 from jaxsim.law import Control
+from jaxsim.laws.held_command import HeldCommand
+from jaxsim.observation import Action, Channel
 from jaxsim.study import load
-
-Scalar = Any
 
 
 class TorqueTrackingResidual(Torque):
@@ -46,16 +42,12 @@ class TorqueTrackingResidual(Torque):
     Reward: as in `TorqueTracking`.
     """
 
-    actions: ClassVar[tuple[Channel, ...]] = (Channel("added voltage", "V", 12.0),)
+    actions: ClassVar[tuple[Action, ...]] = (Action("added voltage", "V", 12.0, "level"),)
     channels: ClassVar[tuple[Channel, ...]] = (
         *SENSED,
-        Channel("lead filter", "V", 100.0),
-        Channel("integrated error", "Nm s", 2.0),
+        Channel("lead filter", "V", 100.0, state=0),
+        Channel("integrated error", "Nm s", 2.0, state=1),
     )
 
     def law(self) -> Control:
-        return load("leg_torque").law + Held(command_unit="V")
-
-    def act(self, law: Any, action: tuple[Scalar, ...]) -> Any:
-        voltage = self.actions[0].full_scale * action[0]
-        return eqx.tree_at(lambda v: v.laws[1].laws[0].level, law, voltage)
+        return load("leg_torque").law + HeldCommand(command_unit="V")

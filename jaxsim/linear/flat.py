@@ -68,7 +68,7 @@ class FlatLoop(eqx.Module):
     @classmethod
     def of(cls, system: ClosedLoop | Drive) -> FlatLoop:
         loop = cast(_as_loop(system), jnp.float64)
-        if loop.sampled:
+        if loop.clocked:
             raise InputError(
                 "law", "must be continuous to be linearised", "a sampled law",
                 "linearise with the law inside Sampled",

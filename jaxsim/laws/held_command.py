@@ -1,4 +1,4 @@
-"""The command of an agent, held over one control period."""
+"""A command that stays as it is until something sets it anew."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from jaxsim.law import Law, Measured, Scalar
 from jaxsim.parameters import parameter
 
 
-class Held(Law):
-    """u = level. The environment replaces the level at every control period: zero-order hold.
+class HeldCommand(Law):
+    """u = level. Environments and policies set the level at every control period (zero-order hold).
 
-    follows: unit of the reference that the agent is told to follow; the metrics need it.
+    follows: unit of the reference that the one who sets it follows; the metrics need it.
     """
 
     level: Scalar = parameter("Nm or V", "the command", default=0.0)
