@@ -100,6 +100,19 @@ def responses(path: Path, runs: Mapping[str, Any], names: tuple[str, ...], title
         axes[-1, 0].set_xlabel("time [ms]")
 
 
+def logarithmic(ax: Any, which: str) -> None:
+    """A logarithmic axis, "x" or "y", whose labels are plain numbers at 1, 2, 5 of a decade."""
+    getattr(ax, f"set_{which}scale")("log")
+    axis = getattr(ax, f"{which}axis")
+    for put in (axis.set_major_formatter, axis.set_minor_formatter):
+        put(_decimal)
+
+
+def _decimal(value: float, _: Any) -> str:
+    lead = value / 10.0 ** np.floor(np.log10(value) + 1e-9)
+    return f"{value:g}" if round(lead, 6) in (1.0, 2.0, 5.0) else ""
+
+
 def locus(ax: Any, branches: Any, values: Any, name: str) -> None:
     """Root-locus branches (values, poles) of a parameter: crosses begin, triangles end."""
     for branch in np.asarray(branches).T:

@@ -170,15 +170,7 @@ def _draw_stage(ax: Any, rows: list[dict[str, Any]], scale: float) -> None:
         ax.plot(*at, "o", ms=3.5, mfc="white", mec=colour, ls="none", label=open_)
     costs = [scale * row["cost"] for row in rows]
     if 0.0 < 3.0 * min(costs) < max(costs):
-        ax.set_yscale("log")
-        for which in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
-            which(_decimal)
-
-
-def _decimal(value: float, _: Any) -> str:
-    """Labels of a logarithmic axis as plain numbers, at 1, 2 and 5 of each decade."""
-    lead = value / 10.0 ** np.floor(np.log10(value) + 1e-9)
-    return f"{value:g}" if round(lead, 6) in (1.0, 2.0, 5.0) else ""
+        plots.logarithmic(ax, "y")
 
 
 def _sensitivities(session: Session, result: Result, path: Path) -> None:

@@ -1,0 +1,82 @@
+"""`gearlash pareto`: the front between two goals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def command(
+    study: Annotated[str, typer.Argument(help="Study file, or the name of a shipped study.")],
+    between: Annotated[str, typer.Option(help="Metric that the points minimise.")],
+    and_: Annotated[str, typer.Option("--and", help="Metric that the points limit.")],
+    out: Annotated[Path, typer.Option(help="Folder for laws, tables and plots.")],
+    points: Annotated[int, typer.Option(min=3, help="Of the front.")] = 12,
+    starts: Annotated[int | None, typer.Option(min=1, help="Of the searches.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of drives and starts.")] = None,
+    law: Annotated[str | None, typer.Option(help="File to take the first law from.")] = None,
+    tuned: Annotated[
+        str | None, typer.Option(help="law.toml of `gearlash tune`: a start, and marked.")
+    ] = None,
+) -> None:
+    """Trace the front between two goals as one batch, under the study's limits."""
+    import jaxsim
+
+    jaxsim.configure()
+    from rich.console import Console
+
+    from jaxsim.provenance import make_folder
+    from jaxsim.study import load
+    from tuning import pareto, pareto_report, space
+    from tuning.spec import read_spec
+
+    what = load(study, law=law)
+    spec = read_spec(what, starts=starts, seed=seed)
+    pair = pareto.pair_of(spec.objective, (between, and_))
+    make_folder("--out", out)
+    marks = {"study": space.gains_of(what.law, spec.free)}
+    if tuned is not None:
+        marks["tuned"] = space.gains_of(load(study, law=tuned).law, spec.free)
+    console = Console()
+    try:
+        front = _traced(what, spec, pair, marks, points, console)
+    except KeyboardInterrupt:
+        console.print("Interrupted before there was a law to keep.")
+        raise typer.Exit(130) from None
+    files = pareto_report.write(what, spec, front, out)
+    console.print(pareto_report.table(spec, front))
+    first, *rest = pareto_report.sentences(spec, front)
+    console.print(first, style="bold green" if front.points else "bold red")
+    for line in rest:
+        console.print(line)
+    console.print(f"Wrote {', '.join(files)}: {out}")
+    if front.interrupted:
+        raise typer.Exit(130)
+    if not front.points:
+        raise typer.Exit(1)
+
+
+def _traced(what: Any, spec: Any, pair: Any, marks: Any, points: int, console: Any) -> Any:
+    """The front, under a progress line."""
+    import numpy as np
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from tuning import pareto, space
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("compiling")
+
+        def tell(p: Any) -> None:
+            state = f"{p.what}: iteration {p.iteration} of at most {p.most}"
+            bar.update(task, description=f"{state}, {p.found} laws that none beats")
+
+        tracer = pareto.tracer_of(what, spec, pair, tell)
+        given = space.to_unit(spec.free, np.array(list(marks.values())))
+        starts = np.concatenate([given, space.starting_points(what.law, spec)[1:]])
+        left_out = tracer.leave_out(starts)
+        laws = tracer.trace(starts, points)
+        bar.update(task, description="scoring afresh on the exact model")
+        return pareto.conclude(tracer, laws, marks, left_out)
