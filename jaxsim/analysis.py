@@ -6,13 +6,11 @@ law; the Routh-Hurwitz region is added where the study is a torque loop of the 2
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from jaxsim import tree
@@ -20,20 +18,18 @@ from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Exact
 from jaxsim.law import JointLaw
-from jaxsim.linear import frequency, routh
+from jaxsim.linear import frequency, operating, routh
 from jaxsim.linear.frequency import Margins
 from jaxsim.linear.joints import JointSystem, per_joint
 from jaxsim.linear.linearise import Linearised, joint_system, linearise
 from jaxsim.linear.stability import Interval, stable_intervals
 from jaxsim.linear.state_space import StateSpace, per_axis, poles
 from jaxsim.linear.zeros import zeros
-from jaxsim.loop import ClosedLoop, When
-from jaxsim.motors.dc import DC
+from jaxsim.loop import ClosedLoop
 from jaxsim.sampled import Sampled
 from jaxsim.study import Study
 
 _MARGINAL = 1e-9  # of the fastest pole: a real part below it is zero
-_ALPHAS = ("alpha_j", "alpha_a", "alpha_v")
 
 
 class Family(NamedTuple):
@@ -126,10 +122,13 @@ def analyse(study: Study, theta_L: Any = None) -> Analysis:
     Raises: InputError for a law with discrete memory, and for angles that are no numbers.
     """
     loop, notes = _linearisable(study)
-    angles = _angles(study, theta_L)
+    if theta_L is None:
+        angles = np.asarray(operating.angles(loop), dtype=float)
+    else:
+        angles = per_joint("theta_L", theta_L, loop.drive.axes)
     controlled = "T_s" if loop.law.reference_unit == "Nm" else "theta_L"
     modes: list[Mode] = []
-    for name, contact in _contacts(loop.drive).items():
+    for name, contact in operating.contacts(loop.drive).items():
         modes += _modes(loop, angles, name, contact, controlled, notes)
     if not modes:
         raise InputError("theta_L", "must be where the drive can rest", angles.tolist(), notes[-1])
@@ -147,43 +146,11 @@ def _linearisable(study: Study) -> tuple[ClosedLoop, list[str]]:
             "law", "must be continuous to be linearised", "a law with discrete memory",
             "analyse the study with a continuous source of derivatives, such as butterworth",
         )  # fmt: skip
-    parts = ("ripple", "friction", "supply")
-    dc = [m for m in study.drive.motor if isinstance(m, DC)]
-    left_out = [p for p in parts if any(getattr(m, p) is not None for m in dc)]
-    motors = tuple(
-        eqx.tree_at(lambda m: (m.ripple, m.friction, m.supply), m, (None,) * 3,
-                    is_leaf=lambda v: v is None) if isinstance(m, DC) else m
-        for m in study.drive.motor
-    )  # fmt: skip
+    loop = ClosedLoop(study.drive, law, study.scenario, Exact(), study.run.dt)
+    loop, left_out = operating.smooth(loop)
     if left_out:
         notes.append(f"left out, as they have no slope: {', '.join(left_out)} of the motors")
-    drive = replace(study.drive, motor=motors)
-    return ClosedLoop(drive, law, study.scenario, Exact(), study.run.dt), notes
-
-
-def _angles(study: Study, given: Any) -> np.ndarray:
-    scenario, axes = study.scenario, study.drive.axes
-    if given is not None:
-        return per_joint("theta_L", given, axes)
-    if study.law.reference_unit == "rad":
-        end = jnp.asarray(scenario.duration)
-        values = [float(r.value(*When(end, end))) for r in scenario.reference]
-    else:
-        values = [float(s.theta_L) for s in scenario.start]
-    return np.asarray(values)
-
-
-def _contacts(drive: Drive) -> dict[str, tuple[int, ...]]:
-    """Name -> contact per axis: all closed, all open, and each joint open alone."""
-    play = [any("contact" in s.name for s in t.surfaces) for t in drive.transmission]
-    if not any(play):
-        return {"closed": (1,) * drive.axes}
-    one = {"contact+": (1,) * drive.axes, "contact-": tuple(-1 if p else 1 for p in play)}
-    opened = {
-        f"gap[{i}]": tuple(0 if k == i else 1 for k in range(drive.axes))
-        for i, p in enumerate(play) if p and drive.axes > 1
-    }  # fmt: skip
-    return one | opened | {"gap": tuple(0 if p else 1 for p in play)}
+    return loop, notes
 
 
 def _modes(
@@ -194,7 +161,7 @@ def _modes(
     d_L = _held(loop.drive, angles, contact)
     found: list[tuple[str, dict[str, float], Linearised]] = []
     try:
-        for label, signs in _switches(loop):
+        for label, signs in operating.settings(loop):
             linear = linearise(loop, angles, contact=contact, modes=signs, d_L=d_L)
             if all(not np.allclose(linear.system.A, f.system.A, atol=0.0) for *_, f in found):
                 found.append((label, signs, linear))
@@ -213,29 +180,8 @@ def _modes(
 
 def _held(drive: Drive, angles: np.ndarray, contact: tuple[int, ...]) -> np.ndarray:
     """The torques that keep joints without contact from falling, (axes,) Nm."""
-    still = (0.0,) * drive.axes
-    free = np.asarray(drive.load.acceleration(tuple(angles), still, still), dtype=float)
-    units = np.eye(drive.axes)
-    slopes = np.array([
-        np.asarray(drive.load.acceleration(tuple(angles), still, tuple(u)), dtype=float) - free
-        for u in units
-    ]).T  # fmt: skip
-    weight = -np.linalg.solve(slopes, free) + 0.0
+    weight = np.asarray(operating.weight(drive, tuple(angles)), dtype=float)
     return np.where(np.asarray(contact) == 0, weight, 0.0)
-
-
-def _switches(loop: ClosedLoop) -> list[tuple[str, dict[str, float]]]:
-    """Signs of the law's surfaces, alike on all axes: a label, and signs by name."""
-    contacts = sum(len(t.surfaces) for t in loop.drive.transmission)
-    motors = sum(len(m.surfaces) for m in loop.drive.motor)
-    own = loop.surface_names()[contacts + motors :]
-    bases = list(dict.fromkeys(n.partition("[")[0] for n in own))
-    settings = []
-    for signs in itertools.product((1.0, -1.0), repeat=len(bases)):
-        by_base = dict(zip(bases, signs, strict=True))
-        label = " ".join(f"{n}{'+' if s > 0 else '-'}" for n, s in by_base.items())
-        settings.append((label, {n: by_base[n.partition("[")[0]] for n in own}))
-    return settings
 
 
 def _mode(
@@ -261,8 +207,8 @@ def _mode(
         [_margins(cut) if stable else None for cut in loops], loops,
         [_margins(own.loop()) if stable else None for own in _pi_families(loop, angles, at)],
         Family(system.A - into @ out, into @ out),
-        _family(loop, angles, at, _paths(loop, ("K_p",)), (1.0, 2.0)),
-        _family(loop, angles, at, _paths(loop, _ALPHAS), (0.0, 1.0)),
+        _family(loop, angles, at, operating.gain_paths(loop.law, ("K_p",)), (1.0, 2.0)),
+        _family(loop, angles, at, operating.gain_paths(loop.law, operating.ALPHAS), (0.0, 1.0)),
     )  # fmt: skip
 
 
@@ -301,13 +247,9 @@ def _margins(cut: StateSpace) -> Margins | None:
         return None
 
 
-def _paths(loop: ClosedLoop, names: tuple[str, ...]) -> list[str]:
-    return [p for p in tree.paths(loop.law) if p.rpartition(".")[2] in names]
-
-
 def _pi_families(loop: ClosedLoop, angles: np.ndarray, at: dict[str, Any]) -> list[Family]:
     """One per axis, where every axis has its K_p."""
-    own = _paths(loop, ("K_p",))
+    own = operating.gain_paths(loop.law, ("K_p",))
     if len(own) != loop.drive.axes:
         return []
     found = [_family(loop, angles, at, [path], (1.0, 2.0)) for path in own]
@@ -336,7 +278,8 @@ def _family(
 def _region(loop: ClosedLoop, angles: np.ndarray, notes: list[str]) -> Region | None:
     """Of a torque loop with DC motors and stiff joints; a note where it is none."""
     gains = [
-        [tree.get(loop.law, path) for path in _paths(loop, (name,))] for name in ("K_p", "K_i")
+        [tree.get(loop.law, path) for path in operating.gain_paths(loop.law, (name,))]
+        for name in ("K_p", "K_i")
     ]
     if loop.law.reference_unit != "Nm" or any(len(g) != loop.drive.axes for g in gains):
         return None

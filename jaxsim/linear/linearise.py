@@ -26,8 +26,9 @@ from jaxsim.loop import ClosedLoop
 from jaxsim.motors.dc import DC
 
 _STEPS = 50  # of Newton's method; 1 where the mode is affine
+_TRACED_STEPS = 8  # the angles are given: what is left is affine but for products of law states
 _SETTLED = 1e-12  # last Newton step, relative to 1 + |unknown|
-_AT_REST = 1e-8  # residual of the equilibrium, each row relative to its largest term
+AT_REST = 1e-8  # residual of the equilibrium, each row relative to its largest term
 _RANK = 1e-11  # of the row-normed Jacobian: a direction below it is free (deflection in the gap)
 _SAME = 1e-9  # entries of the paper's form and the drive's, relative to the largest in the row
 
@@ -77,7 +78,7 @@ def linearise(
         x, reference = _equilibrium(flat, held, loads, signs)
         u = np.concatenate([reference, loads, np.zeros(p)])
         A, B, C, D = (
-            np.asarray(slope) for slope in _local(flat, signs, jnp.asarray(x), jnp.asarray(u))[1]
+            np.asarray(slope) for slope in local(flat, signs, jnp.asarray(x), jnp.asarray(u))[1]
         )
         states = flat.states()
     source = "command" if isinstance(system, Drive) else "reference"
@@ -88,7 +89,7 @@ def linearise(
 
 
 @eqx.filter_jit
-def _local(flat: FlatLoop, modes: tuple[Any, ...], x: Any, u: Any) -> tuple[Any, tuple[Any, ...]]:
+def local(flat: FlatLoop, modes: tuple[Any, ...], x: Any, u: Any) -> tuple[Any, tuple[Any, ...]]:
     """The rates at x and u, and A, B, C, D there."""
 
     def both(x: Any, u: Any) -> Any:
@@ -117,7 +118,7 @@ def _modes(
     seen = [float(np.sign(g)) for g in flat.guards(x, u, zero)]
     own = share(tuple(seen), [t.surfaces for t in transmissions])
     asked = [
-        o if w is None else _contact(t, w, o)
+        o if w is None else contact_signs(t, w, o)
         for t, w, o in zip(transmissions, wanted, own, strict=True)
     ]
     start = [s for group in asked for s in group]
@@ -129,7 +130,9 @@ def _modes(
     return tuple(jnp.asarray(s) for s in signs.values())
 
 
-def _contact(transmission: Transmission, wanted: int, seen: tuple[float, ...]) -> tuple[float, ...]:
+def contact_signs(
+    transmission: Transmission, wanted: int, seen: tuple[float, ...]
+) -> tuple[float, ...]:
     """The signs of a transmission's surfaces that mean this contact, the nearest to those seen."""
     surfaces, zero = transmission.surfaces, jnp.zeros(())
     fitting = []
@@ -159,6 +162,38 @@ def _with_load(flat: FlatLoop, theta_L: np.ndarray) -> np.ndarray:
     return x
 
 
+@eqx.filter_jit
+def _newton(flat: FlatLoop, modes: tuple[Any, ...], z: Any, theta_L: Any, d_L: Any) -> Any:
+    """A step of Newton's method for z = (x, reference) at rest, and by how much z misses it."""
+    n, p = len(flat.start), flat.axes
+    held = jnp.eye(n)[jnp.asarray(_positions(flat))]
+    u = jnp.concatenate([z[n:], d_L, jnp.zeros(p)])
+    rates, (A, B, _, _) = local(flat, modes, z[:n], u)
+    slope = jnp.block([[A, B[:, :p]], [held, jnp.zeros((p, p))]])
+    value = jnp.concatenate([rates, held @ z[:n] - theta_L])
+    size = jnp.linalg.norm(jax.lax.stop_gradient(slope), axis=1)
+    scale = jnp.where(size == 0.0, 1.0, size)
+    # The matrix needs no derivative: at rest the step is one in the residual alone.
+    frozen = jax.lax.stop_gradient(slope) / scale[:, None]
+    step = jnp.linalg.lstsq(frozen, -value / scale, rcond=_RANK)[0]
+    return step, jnp.abs(value / scale).max()
+
+
+def rest(flat: FlatLoop, modes: tuple[Any, ...], theta_L: Any, d_L: Any) -> tuple[Any, Any]:
+    """z = (x, reference) at rest, traced by JAX with its derivatives, and by how much it misses.
+
+    As `linearise` finds it, in a fixed number of steps; theta_L, d_L (axes,).
+    """
+    frozen, held, loads = jax.lax.stop_gradient((flat, theta_L, d_L))
+    start = flat.start.at[jnp.asarray(_positions(flat))].set(held)
+    z = jnp.concatenate([jax.lax.stop_gradient(start), jnp.zeros(flat.axes)])
+    z = jax.lax.fori_loop(
+        0, _TRACED_STEPS, lambda _, z: z + _newton(frozen, modes, z, held, loads)[0], z
+    )
+    step, miss = _newton(flat, modes, z, theta_L, d_L)
+    return z + step, miss
+
+
 def _equilibrium(
     flat: FlatLoop, theta_L: np.ndarray, d_L: np.ndarray, modes: tuple[Any, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -167,20 +202,14 @@ def _equilibrium(
     Directions that nothing determines (the deflection inside the gap) stay where they start.
     """
     n, p = len(flat.start), flat.axes
-    held = np.eye(n)[_positions(flat)]
     z = np.concatenate([_with_load(flat, theta_L), np.zeros(p)])
+    held, loads = jnp.asarray(theta_L), jnp.asarray(d_L)
     for _ in range(_STEPS):
-        u = np.concatenate([z[n:], d_L, np.zeros(p)])
-        rates, (A, B, _, _) = _local(flat, modes, jnp.asarray(z[:n]), jnp.asarray(u))
-        slope = np.block([[np.asarray(A), np.asarray(B)[:, :p]], [held, np.zeros((p, p))]])
-        value = np.concatenate([np.asarray(rates), held @ z[:n] - theta_L])
-        scale = np.linalg.norm(slope, axis=1)
-        scale[scale == 0.0] = 1.0
-        step = np.linalg.lstsq(slope / scale[:, None], -value / scale, rcond=_RANK)[0]
+        step, miss = (np.asarray(v) for v in _newton(flat, modes, jnp.asarray(z), held, loads))
         if np.all(np.abs(step) <= _SETTLED * (1.0 + np.abs(z))):
             break
         z = z + step
-    if not np.all(np.abs(value) <= _AT_REST * scale * (1.0 + np.abs(z).max())):
+    if not miss <= AT_REST * (1.0 + np.abs(z).max()):
         raise InputError(
             "theta_L", "must be an angle at which the drive can rest in these modes",
             theta_L.tolist(), "choose the contact that carries the load, or another angle",
