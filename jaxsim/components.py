@@ -47,7 +47,11 @@ class _Kind(typing.NamedTuple):
     several: Callable[..., Any] | None  # what a list of tables means
 
 
-_SENSORS = {"true_speeds": sampled.TrueSpeeds, "encoders": sampled.Encoders}
+_SENSORS = {
+    "true_speeds": sampled.TrueSpeeds,
+    "differences": sampled.Differences,
+    "encoders": sampled.Encoders,
+}
 _STRUCTURE = {"sampled": sampled.Sampled, "decentral": laws.Decentral}
 KINDS: dict[type, _Kind] = {
     laws.Control: _Kind(LAWS, _STRUCTURE, laws.total),

@@ -33,6 +33,23 @@ class TrueSpeeds(Sensors):
         return y
 
 
+class Differences(Sensors):
+    """Exact angles, speeds as their backward differences over one period.
+
+    What encoders of infinitely many counts read: with derivatives, for training through a run.
+    """
+
+    def read(self, y: Measured, last: Measured, ratio: Scalar, period: float) -> Measured:
+        omega_L = (y.theta_L - last.theta_L) / period
+        omega_M = (y.theta_M - last.theta_M) / period
+        return y._replace(
+            theta_B=y.theta_M / ratio - y.theta_L,
+            omega_L=omega_L,
+            omega_M=omega_M,
+            omega_B=omega_M / ratio - omega_L,
+        )
+
+
 class Encoders(Sensors):
     """Angles rounded to counts, speeds as their backward differences over one period.
 
@@ -50,16 +67,8 @@ class Encoders(Sensors):
     def read(self, y: Measured, last: Measured, ratio: Scalar, period: float) -> Measured:
         step = 2.0 * jnp.pi / self.counts
         theta_L, theta_M = (step * jnp.round(angle / step) for angle in (y.theta_L, y.theta_M))
-        omega_L = (theta_L - last.theta_L) / period
-        omega_M = (theta_M - last.theta_M) / period
-        return y._replace(
-            theta_L=theta_L,
-            theta_M=theta_M,
-            theta_B=theta_M / ratio - theta_L,
-            omega_L=omega_L,
-            omega_M=omega_M,
-            omega_B=omega_M / ratio - omega_L,
-        )
+        rounded = y._replace(theta_L=theta_L, theta_M=theta_M)
+        return Differences().read(rounded, last, ratio, period)
 
 
 class Held(NamedTuple):
