@@ -121,7 +121,7 @@ def analyse(study: Study, theta_L: Any = None) -> Analysis:
 
     Raises: InputError for a law with discrete memory, and for angles that are no numbers.
     """
-    loop, notes = _linearisable(study)
+    loop, notes = linearisable(study)
     if theta_L is None:
         angles = np.asarray(operating.angles(loop), dtype=float)
     else:
@@ -135,8 +135,11 @@ def analyse(study: Study, theta_L: Any = None) -> Analysis:
     return Analysis(study.name, angles, controlled, modes, _region(loop, angles, notes), notes)
 
 
-def _linearisable(study: Study) -> tuple[ClosedLoop, list[str]]:
-    """The loop without what has no slope."""
+def linearisable(study: Study) -> tuple[ClosedLoop, list[str]]:
+    """The study's loop without what has no slope, and what was left out, in words.
+
+    Raises: InputError for a law with discrete memory.
+    """
     law, notes = study.law, []
     if isinstance(law, Sampled):
         law = law.law

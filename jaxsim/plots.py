@@ -101,9 +101,13 @@ def responses(path: Path, runs: Mapping[str, Any], names: tuple[str, ...], title
 
 
 def logarithmic(ax: Any, which: str) -> None:
-    """A logarithmic axis, "x" or "y", whose labels are plain numbers at 1, 2, 5 of a decade."""
+    """A logarithmic axis, "x" or "y", with plain labels."""
     getattr(ax, f"set_{which}scale")("log")
-    axis = getattr(ax, f"{which}axis")
+    plain_labels(getattr(ax, f"{which}axis"))
+
+
+def plain_labels(axis: Any) -> None:
+    """Plain numbers at 1, 2, 5 of each decade on a logarithmic axis or colour bar."""
     for put in (axis.set_major_formatter, axis.set_minor_formatter):
         put(_decimal)
 

@@ -1,0 +1,59 @@
+"""`gearlash map`: poles and runs over a plane of two gains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    study: Annotated[str, typer.Argument(help="Study file, or the name of a shipped study.")],
+    x: Annotated[str, typer.Option(help="Gain of the law, across.")],
+    y: Annotated[str, typer.Option(help="Gain of the law, upwards.")],
+    out: Annotated[Path, typer.Option(help="Folder for table, plot and page.")],
+    x_range: Annotated[
+        tuple[float, float] | None, typer.Option(help="Default: its bounds in [tune.free].")
+    ] = None,
+    y_range: Annotated[tuple[float, float] | None, typer.Option(help="The same for y.")] = None,
+    points: Annotated[int, typer.Option(min=2, help="Per gain.")] = 41,
+    metric: Annotated[
+        list[str] | None,
+        typer.Option(help="Repeat. Default: the objective's and the limit cycle."),
+    ] = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Of a study with several; default: the first.")
+    ] = None,
+    law: Annotated[str | None, typer.Option(help="File to take the law from.")] = None,
+    tuned: Annotated[
+        str | None, typer.Option(help="law.toml of `gearlash tune`, to be marked.")
+    ] = None,
+) -> None:
+    """Map two gains: poles of every contact mode and the batched nonlinear runs."""
+    import jaxsim
+
+    jaxsim.configure()
+    from rich.console import Console
+
+    from jaxsim.provenance import make_folder
+    from jaxsim.study import load
+    from tuning import gain_map, gain_map_report
+
+    what = load(study, law=law).in_scenario(scenario)
+    across = gain_map.axis_of(what, "--x", x, x_range, points)
+    upwards = gain_map.axis_of(what, "--y", y, y_range, points)
+    wanted = what.objective.metrics() if what.objective else ("largest_torque_Nm",)
+    names = tuple(metric or dict.fromkeys([*wanted, "limit_cycle_rad"]))
+    make_folder("--out", out)
+    console = Console()
+    marks = {"study": gain_map_report.marked(what.law, across, upwards)}
+    if tuned is not None:
+        other = load(study, law=tuned).law
+        marks["tuned"] = gain_map_report.marked(other, across, upwards)
+    with console.status(f"{points} x {points} laws: runs and poles ..."):
+        found = gain_map.survey(what, across, upwards, names)
+        files = gain_map_report.write(what, found, marks, out)
+    for line in gain_map_report.sentences(what, found):
+        console.print(line)
+    console.print(f"Wrote {', '.join(files)}: {out}")
