@@ -15,7 +15,7 @@ Scalar = Any
 
 # Natural sizes of guard quantities; the tolerance of a guard is a multiple of machine precision
 # times these. Below it a sign is rounding, and toggling on it would never end (chatter at rest).
-SCALES = {"rad": 1e-3, "rad/s": 1.0, "Nm": 1.0, "V": 1.0}
+SCALES = {"rad": 1e-3, "rad/s": 1.0, "Nm": 1.0, "V": 1.0, "s": 1e-3}
 _ROUNDING = 1e4  # units of machine precision: 2e-15 rad and 2e-12 rad/s in float64
 
 

@@ -9,6 +9,18 @@ from jaxsim.hybrid import Surface, Switch
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, Parameters, parameter
 
 
+def stick_guard(speed: Scalar, excess: Scalar, own: Scalar, other: Scalar) -> Scalar:
+    """Guard of slipping one way. Slipping that way: its speed. Stuck: the excess of torque over
+    what the stick holds, that way. Slipping the other way: out of play.
+
+    own, other: modes of this way and the other. Where modes are not known (0), the speed decides,
+    and at rest the excess.
+    """
+    unknown = jnp.where(speed == 0.0, excess, speed)
+    resting = jnp.where(other < 0.0, excess, -jnp.ones_like(speed))
+    return jnp.where(own > 0.0, speed, jnp.where(own < 0.0, resting, unknown))
+
+
 class Stribeck(Parameters):
     """Slipping: (Fc + (Fs - Fc) exp(-(omega_M/ws)^2)) against the motion; sticking: up to Fs.
 
@@ -36,19 +48,9 @@ class Stribeck(Parameters):
         """Guard values; torque: all that drives the rotor besides this friction, Nm."""
         forward, backward = modes
         return (
-            self._guard(omega_M, torque, forward, backward),
-            self._guard(-omega_M, -torque, backward, forward),
+            stick_guard(omega_M, torque - self.Fs, forward, backward),
+            stick_guard(-omega_M, -torque - self.Fs, backward, forward),
         )
-
-    def _guard(self, speed: Scalar, torque: Scalar, own: Scalar, other: Scalar) -> Scalar:
-        """Slipping this way: its speed. Stuck: torque - Fs. Slipping the other way: out of play.
-
-        Where modes are not known (0), the speed decides, and at rest the torque.
-        """
-        excess = torque - self.Fs
-        unknown = jnp.where(speed == 0.0, excess, speed)
-        resting = jnp.where(other < 0.0, excess, -jnp.ones_like(speed))
-        return jnp.where(own > 0.0, speed, jnp.where(own < 0.0, resting, unknown))
 
     def acceleration(
         self, omega_M: Scalar, torque: Scalar, inertia: Scalar, switches: tuple[Switch, ...]

@@ -1,0 +1,36 @@
+"""Position loop over speed loop, at the motor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxsim.hybrid import Switch
+from jaxsim.law import Law, Measured, Scalar
+from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
+
+
+class Cascade(Law):
+    """u = gain clip(k_v (k_p (reference - theta_M) - omega_M), -limit, limit).
+
+    gain: what the amplifier makes of the control signal (its unit over V). The limit is a kink,
+    not a jump: no surface. For a prismatic axis read m, N for rad, Nm.
+
+    Source: Janot, Gautier, Brunot (2019), EMPS benchmark, with gain = g_tau.
+    """
+
+    k_p: Scalar = parameter("1/s", "position gain", rule=NON_NEGATIVE)
+    k_v: Scalar = parameter("V s/rad", "speed gain", rule=NON_NEGATIVE)
+    gain: Scalar = parameter("Nm/V", "torque per control signal", rule=POSITIVE)
+    limit: Scalar = parameter("V", "largest control signal of either sign", rule=POSITIVE)
+    command_unit: str = eqx.field(static=True, default="Nm", kw_only=True)
+
+    @property
+    def reference_unit(self) -> str:
+        return "rad"
+
+    def command(self, state: Any, y: Measured, switches: tuple[Switch, ...]) -> Scalar:
+        wanted = self.k_p * (y.reference - y.theta_M)
+        return self.gain * jnp.clip(self.k_v * (wanted - y.omega_M), -self.limit, self.limit)
