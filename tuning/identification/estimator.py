@@ -82,20 +82,23 @@ class _Local(NamedTuple):
 def fit(
     problem: Problem, starts: np.ndarray, *, who: np.ndarray | None = None,
     stages: Sequence[Stage] = STAGES, loss: Loss | None = None, iterations: int = 50,
-    tolerance: float = 1e-9, tell: Callable[[Progress], None] | None = None,
+    tolerance: float = 1e-9, frozen: np.ndarray | None = None,
+    tell: Callable[[Progress], None] | None = None,
 ) -> Fits:  # fmt: skip
     """Fit from every row of `starts` (F, P), through all stages.
 
     who: which experiments each fit looks at, as in `Problem`. stages: the last one must be `Exact`
     and look at everything. loss: `Squares()` by default. iterations: at most, per stage.
     tolerance: a stage ends for a fit when the next step would gain less than this share of its
-    loss.
+    loss. frozen: (F, P) unknowns that stay as they start.
 
     Ctrl-C returns what there is, with `interrupted` set.
     """
     loss = Squares() if loss is None else loss
     starts = np.atleast_2d(starts)
-    search = _Search(problem, starts, problem.everyone(len(starts)) if who is None else who, loss)
+    who = problem.everyone(len(starts)) if who is None else who
+    frozen = np.zeros(starts.shape, bool) if frozen is None else frozen
+    search = _Search(problem, starts, who, loss, frozen)
     try:
         for index, stage in enumerate(stages):
             # What comes after it begins anew: an early stage only has to come near.
@@ -117,8 +120,10 @@ def fit(
 class _Search:
     """The state of all fits between two iterations."""
 
-    def __init__(self, problem: Problem, starts: np.ndarray, who: np.ndarray, loss: Loss) -> None:
-        self.problem, self.who, self.loss = problem, who, loss
+    def __init__(
+        self, problem: Problem, starts: np.ndarray, who: np.ndarray, loss: Loss, frozen: np.ndarray
+    ) -> None:
+        self.problem, self.who, self.loss, self.frozen = problem, who, loss, frozen
         self.y = problem.unknowns.to_point(starts)
         fits, size = self.y.shape
         self.iterations = np.zeros(fits, int)
@@ -146,7 +151,10 @@ class _Search:
             unknowns.to_values(y), unknowns.slope(y),
             who=self.who, deadzone=self.stage.deadzone, horizon=self.stage.horizon,
         )  # fmt: skip
-        return reduced(self.problem, seen.residuals, seen.jacobian, self.who, self.loss)
+        local = reduced(self.problem, seen.residuals, seen.jacobian, self.who, self.loss)
+        moves = ~self.frozen
+        both = moves[:, :, None] & moves[:, None, :]
+        return local._replace(gradient=local.gradient * moves, matrix=local.matrix * both)
 
     def iterate(self) -> None:
         """One damped Gauss-Newton step of every fit that still moves."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxsim import tree
 from jaxsim.errors import InputError
+from jaxsim.loop import UNITS
 from jaxsim.parameters import all_parameters
 from tuning.identification.experiment import Experiment, Model, model_of
 
@@ -47,7 +48,7 @@ def free(
     """
     model = model_of(experiment)
     where = f"free.{name}"
-    paths = tuple(_path(model, experiment.signals, n, where) for n in of or [name])
+    paths = tuple(path_of(experiment, n, where) for n in of or [name])
     if not lower < upper:
         raise InputError(where, "must have lower < upper", [lower, upper], "swap or widen them")
     for path in paths:
@@ -62,20 +63,34 @@ def free(
         fix = "search linearly"
         raise InputError(where, "must have bounds of one sign to use logs", [lower, upper], fix)
     wide = lower * upper > 0.0 and max(lower / upper, upper / lower) >= _WIDE
-    unit = tree.unit(model, paths[0])
+    unit = unit_of(experiment, paths[0])
     in_log = bool(wide) if log is None else log
     return Free(name, paths, float(lower), float(upper), in_log, unit, own)
 
 
-def _path(model: Model, signals: tuple[str, ...], name: str, where: str) -> str:
+def path_of(experiment: Experiment, name: str, where: str) -> str:
+    """The path in the tree of an experiment of a parameter, or of SIGNAL.offset and the like.
+
+    Raises: InputError for a name that is unknown, with the nearest, or ambiguous.
+    """
     head, _, tail = name.rpartition(".")
+    signals = experiment.signals
     if head in signals:
         index = f"[{signals.index(head)}]" if len(signals) > 1 else ""
         name = f"sensors{index}.{tail}"
     try:
-        return tree.resolve(model, name)
+        return tree.resolve(model_of(experiment), name)
     except InputError as error:
         raise InputError(where, error.rule, error.value, error.fix) from None
+
+
+def unit_of(experiment: Experiment, path: str) -> str:
+    """The unit of a parameter; an offset has that of its signal."""
+    if path.startswith("sensors") and path.endswith(".offset"):
+        index = path.partition("[")[2].partition("]")[0]
+        signal = experiment.signals[int(index or 0)]
+        return UNITS[signal.partition("[")[0]]
+    return tree.unit(model_of(experiment), path)
 
 
 class Unknowns(NamedTuple):

@@ -1,0 +1,350 @@
+"""From the columns of logs to experiments: units, signs, times, masks; and what is refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxsim import tree
+from jaxsim.errors import InputError
+from jaxsim.loop import UNITS, ClosedLoop
+from jaxsim.quantity import to_si
+from jaxsim.scenario import Scenario, Start
+from jaxsim.signal import Signal
+from jaxsim.signals.samples import Samples
+from jaxsim.signals.table import Table
+from jaxsim.study import Study
+from tuning.identification import inspection
+from tuning.identification.experiment import Experiment, Measurement, measurement, model_of
+from tuning.identification.residuals import signal_name
+from tuning.identification.spec import INPUTS, Column, Recording, Spec, is_measured
+from tuning.identification.unknowns import path_of, unit_of
+from tuning.log import Log, read_log
+
+# Stamps this close to equal steps, as a share of a step, are equal steps.
+_EQUAL = 1e-5
+_MOST_TICKS = 5_000_000  # more is a time column in another unit
+# Readings at the start from which its angle and speed are taken.
+_FIRST = 5
+_ANGLES = ("theta_L", "theta_M", "theta_B")
+_SPEED_OF = {"theta_L": "omega_L", "theta_M": "omega_M", "theta_B": "omega_B"}
+
+
+class Recorded(NamedTuple):
+    """An experiment with what it is for and what was noticed on the way, in sentences."""
+
+    experiment: Experiment
+    use: str
+    remarks: tuple[str, ...]
+
+
+class Series(NamedTuple):
+    """A column in SI units with its time stamps, s from the start of the experiment."""
+
+    times: np.ndarray
+    values: np.ndarray
+    quantum: float
+    noise: float
+    spikes: np.ndarray
+
+
+def experiments(study: Study, spec: Spec) -> tuple[list[Recorded], float]:
+    """All recordings of a study as experiments, and the integration step in s.
+
+    Raises: InputError for logs and columns that are missing, times that run backwards, inputs with
+    holes, and units that contradict each other.
+    """
+    opened = [(r, _open(spec, r, path)) for r in spec.recordings for path in _files(spec, r)]
+    dt = _step(study, spec, opened[0][1]) if spec.dt is None else spec.dt
+    names: dict[str, int] = {}
+    found = []
+    for recording, log in opened:
+        name = log.name if recording.row is None else f"{log.name}[{recording.row}]"
+        names[name] = names.get(name, 0) + 1
+        name = name if names[name] == 1 else f"{name}#{names[name]}"
+        found.append(_recorded(study, spec, recording, log, name, dt))
+    return found, dt
+
+
+def _files(spec: Spec, recording: Recording) -> list[Path]:
+    path = spec.folder / recording.log
+    if not any(mark in recording.log for mark in "*?["):
+        return [path]
+    found = sorted(path.parent.glob(path.name))
+    if not found:
+        fix = "check the pattern"
+        raise InputError("identify.experiments.log", "must match a file", recording.log, fix)
+    return found
+
+
+def _open(spec: Spec, recording: Recording, path: Path) -> Log:
+    log = read_log(path, recording.row)
+    if "time" not in spec.columns:
+        rule = "must be given"
+        guess = inspection.find_time(log)
+        fix = f'e.g. time = {{ column = "{guess}" }}' if guess else "name the column of time stamps"
+        raise InputError("identify.columns.time", rule, "nothing", fix)
+    if not any(is_measured(name) for name in spec.columns):
+        fix = 'e.g. theta_L = { column = "..." }'
+        raise InputError("identify.columns", "must name a measured signal", "none", fix)
+    return log
+
+
+def _step(study: Study, spec: Spec, log: Log) -> float:
+    """The largest step not above the study's that divides the sampling: readings lie on ticks."""
+    stamps = _stamps(spec, log, None)
+    period = float(np.median(np.diff(stamps)))
+    return float(f"{period / math.ceil(period / study.run.dt - 1e-9):.12g}")
+
+
+def _recorded(
+    study: Study, spec: Spec, recording: Recording, log: Log, name: str, dt: float
+) -> Recorded:
+    remarks: list[str] = []
+    raw = {
+        key: _series(study, spec, key, column, log, recording, remarks)
+        for key, column in spec.columns.items()
+        if key != "time"
+    }
+    _contradictions(study, spec, raw)
+    duration = _duration(raw, dt, log)
+    scenario = _scenario(study, spec, raw, duration, dt, remarks, log.path.name)
+    if spec.start == "readings":
+        scenario = _started(scenario, raw)
+    measured = tuple(
+        _measured(study, key, spec.columns[key], series, duration, remarks)
+        for key, series in raw.items()
+        if is_measured(key)
+    )
+    law = study.law
+    made = Experiment(name, study.drive, law, scenario, measured)
+    return Recorded(_set(made, recording), recording.use, tuple(f"{name}: {r}" for r in remarks))
+
+
+def _stamps(spec: Spec, log: Log, column: Column | None) -> np.ndarray:
+    """Time stamps in s; `column` may have some of its own."""
+    own = spec.columns["time"]
+    name = column.time if column is not None and column.time else own.column
+    stamps = log.column(name) * _factor(own, "s", "identify.columns.time")
+    where = f"{log.path.name}: {name}"
+    if not np.all(np.isfinite(stamps)):
+        at = int(np.flatnonzero(~np.isfinite(stamps))[0])
+        raise InputError(where, "must be numbers", f"none at sample {at}", "repair the time stamps")
+    steps = np.diff(stamps)
+    if np.any(steps < 0.0):
+        at = int(np.flatnonzero(steps < 0.0)[0]) + 1
+        got = f"{stamps[at]:.6g} s after {stamps[at - 1]:.6g} s at sample {at}"
+        fix = "cut the log there (`begin`, `end`), or sort it if only its lines are mixed up"
+        raise InputError(where, "time must not run backwards", got, fix)
+    return stamps
+
+
+def _factor(column: Column, si: str, where: str) -> float:
+    """SI units per unit of a column, with sign."""
+    if column.unit in ("counts", "count"):
+        if column.counts is None:
+            fix = "e.g. counts = 4096"
+            raise InputError(f"{where}.counts", "must be given per revolution", "nothing", fix)
+        unit = 2.0 * np.pi / column.counts
+    elif column.unit is None:
+        unit = 1.0
+    else:
+        unit = float(to_si(f"1 {column.unit}", si, f"{where}.unit"))
+    return unit * column.sign * column.factor
+
+
+def _series(
+    study: Study, spec: Spec, key: str, column: Column, log: Log, recording: Recording,
+    remarks: list[str],
+) -> Series:  # fmt: skip
+    """A column in SI units, cut to the recording's window, without repeated stamps."""
+    where = f"identify.columns.{key}"
+    stamps, raw = _stamps(spec, log, column), log.column(column.column)
+    if raw.shape != stamps.shape:
+        got = f"{raw.size} readings, {stamps.size} time stamps"
+        raise InputError(where, "must be as long as its time", got, "name its own `time` column")
+    origin = _stamps(spec, log, None)[0]
+    times = stamps - origin
+    begin, end = (
+        None if v is None else float(to_si(v, "s", f"identify.experiments.{k}"))
+        for k, v in (("begin", recording.begin), ("end", recording.end))
+    )
+    kept = np.concatenate([[True], np.diff(times) > 0.0])
+    if not kept.all():
+        remarks.append(
+            f"{key}: {int((~kept).sum())} readings repeat a time stamp and are left out."
+        )
+    low = 0.0 if begin is None else begin
+    kept &= (times >= low) & (times <= (np.inf if end is None else end))
+    if kept.sum() < 2:
+        got = f"{int(kept.sum())} readings"
+        raise InputError(where, "must hold readings in the window", got, "check begin and end")
+    facts = inspection.facts(key, raw[kept])
+    factor = _factor(column, _unit(study, key), where)
+    size = abs(factor)
+    return Series(
+        times[kept] - low, factor * raw[kept], size * facts.quantum, size * facts.noise,
+        facts.spikes,
+    )  # fmt: skip
+
+
+def _unit(study: Study, key: str) -> str:
+    """The SI unit of a signal or an input of a study."""
+    if key == "reference":
+        return study.law.reference_unit or study.drive.command_unit
+    if key == "load_torque":
+        return "Nm"
+    base, _ = signal_name(key)
+    if base not in UNITS:
+        raise InputError.unknown(f"identify.columns.{key}", base, [*UNITS, "time", *INPUTS])
+    return study.drive.command_unit if base == "command" else UNITS[base]
+
+
+def _duration(raw: dict[str, Series], dt: float, log: Log) -> float:
+    last = max(s.times[-1] for s in raw.values())
+    ticks = max(1, math.ceil(last / dt - 1e-6))
+    if ticks > _MOST_TICKS:
+        got = f"{last:.6g} s in steps of {dt:.3g} s"
+        fix = 'is `time` in another unit? e.g. unit = "ms"'
+        raise InputError(
+            f"{log.path.name}: time", "must span a run that can be simulated", got, fix
+        )
+    return ticks * dt
+
+
+def _scenario(
+    study: Study, spec: Spec, raw: dict[str, Series], duration: float, dt: float,
+    remarks: list[str], file: str,
+) -> Scenario:  # fmt: skip
+    parts = {name: list(getattr(study.scenario, name)) for name in INPUTS}
+    for name in INPUTS:
+        if name in raw:
+            column = spec.columns[name]
+            parts[name][column.axis] = _input(raw[name], column.between, dt, f"{file}: {name}")
+            if np.ptp(raw[name].values) == 0.0:
+                remarks.append(f"the input {name} is constant: it excites nothing.")
+    return Scenario(
+        tuple(parts["reference"]), tuple(parts["load_torque"]), study.scenario.start,
+        duration=duration,
+    )  # fmt: skip
+
+
+def _input(series: Series, between: str, dt: float, where: str) -> Signal:
+    bad = np.flatnonzero(~np.isfinite(series.values))
+    if bad.size:
+        fix = "cut the log with begin and end, or repair the column"
+        got = f"none at sample {bad[0]}" + (f" and {bad.size - 1} more" if bad.size > 1 else "")
+        raise InputError(where, "an input must be a number everywhere", got, fix)
+    period = (series.times[-1] - series.times[0]) / (len(series.times) - 1)
+    grid = period * np.arange(len(series.times))
+    if np.abs(series.times - grid).max() > _EQUAL * period:
+        return Table(series.times, series.values, between)  # pyright: ignore
+    ticks = round(period / dt)
+    on_ticks = ticks >= 1 and abs(ticks * dt - period) * len(grid) < _EQUAL * period
+    period = ticks * dt if on_ticks else period
+    return Samples(series.values, period, between, on_ticks)  # pyright: ignore
+
+
+def _measured(
+    study: Study, key: str, column: Column, series: Series, duration: float, remarks: list[str]
+) -> Measurement:
+    base, _ = signal_name(key)
+    used = np.isfinite(series.values)
+    if not used.all():
+        remarks.append(f"{key}: {int((~used).sum())} readings are no numbers and are masked.")
+    masked = column.spikes or ("mask" if base in _ANGLES else "keep")
+    count = int(series.spikes.sum())
+    if count and masked == "mask":
+        used &= ~series.spikes
+        at = ", ".join(f"{t:.4g}" for t in series.times[series.spikes][:5])
+        remarks.append(
+            f"{key}: {count} spikes are masked (at {at}{' ...' if count > 5 else ''} s)."
+        )
+    if not used.any():
+        fix = "check the column"
+        raise InputError(f"identify.columns.{key}", "must hold numbers", "none", fix)
+    rounding = series.quantum / 12.0**0.5
+    noise = max(series.noise, rounding)  # the differences of readings show both
+    if column.noise is not None:
+        given = float(to_si(column.noise, _unit(study, key), f"identify.columns.{key}.noise"))
+        noise = math.hypot(given, rounding)
+    spread = float(np.ptp(series.values[used]))
+    # A reading that never changes still has a weight; which one does not matter.
+    noise = noise if noise > 0.0 else max(1e-6 * spread, 1e-12)
+    inside = series.times <= duration
+    return measurement(key, series.times[inside], series.values[inside], noise, used=used[inside])
+
+
+def _started(scenario: Scenario, raw: dict[str, Series]) -> Scenario:
+    """Angle and speed of the load at the start, by a straight line through the first readings."""
+    if "theta_L" not in raw:
+        return scenario
+    series = raw["theta_L"]
+    good = np.flatnonzero(np.isfinite(series.values) & ~series.spikes)[:_FIRST]
+    slope, angle = np.polynomial.polynomial.polyfit(series.times[good], series.values[good], 1)[
+        ::-1
+    ]
+    # Less than one step of the encoder over these readings is rest.
+    still = abs(slope) * np.ptp(series.times[good]) <= max(series.quantum, 3.0 * series.noise)
+    start = Start(theta_L=angle, omega_L=0.0 if still else slope)
+    return Scenario(
+        scenario.reference, scenario.load_torque, (start, *scenario.start[1:]),
+        duration=scenario.duration,
+    )  # fmt: skip
+
+
+def _set(made: Experiment, recording: Recording) -> Experiment:
+    """What is known of this recording, written into its tree."""
+    if not recording.set:
+        return made
+    model = model_of(made)
+    for name, value in recording.set.items():
+        where = f"identify.experiments.set.{name}"
+        path = path_of(made, name, where)
+        number = to_si(value, unit_of(made, path), where)
+        model = tree.replace(model, {path: np.asarray(number, float)})
+    sensors = zip(made.measurements, model.sensors, strict=True)
+    measured = tuple(m._replace(sensor=s) for m, s in sensors)
+    return Experiment(made.name, model.drive, model.law, model.scenario, measured)
+
+
+def _contradictions(study: Study, spec: Spec, raw: dict[str, Series]) -> None:
+    """Refuse units that the readings themselves contradict.
+
+    Two witnesses: a speed that is not the rate of its angle but 57.3 times it, or 1/57.3; and the
+    step of an encoder, which is 2 pi/2^k in rad and 360/2^k in deg.
+    """
+    for angle, speed in _SPEED_OF.items():
+        if angle in raw and speed in raw and raw[angle].times.shape == raw[speed].times.shape:
+            factor = inspection.rate_factor(raw[angle].times, raw[angle].values, raw[speed].values)
+            words = "" if factor is None else inspection.unit_words(factor)
+            if words:
+                got = f"{speed} that is {factor:.4g} times the rate of {angle} ({words})"
+                where = f"identify.columns.{angle}.unit and {speed}.unit"
+                raise InputError(where, "must agree", got, "correct the units, or sign and factor")
+    for key in set(_ANGLES) & set(raw):
+        if spec.columns[key].unit in (None, "rad") and _is_degrees(raw[key]):
+            step = raw[key].quantum
+            got = f'"rad", but the encoder\'s step {step:.6g} is 360/2^k, not 2 pi/2^k'
+            fix = 'try unit = "deg"'
+            raise InputError(f"identify.columns.{key}.unit", "must be that of the log", got, fix)
+
+
+def _is_degrees(series: Series) -> bool:
+    if series.quantum == 0.0:
+        return False
+    degrees, radians = (math.log2(turn / series.quantum) for turn in (360.0, 2.0 * math.pi))
+    return abs(degrees - round(degrees)) < 2e-3 < abs(radians - round(radians))
+
+
+def check_loops(recorded: Sequence[Recorded], dt: float) -> None:
+    """Do the parts of every experiment fit together?"""
+    from jaxsim.hybrid import Exact
+
+    for item in recorded:
+        e = item.experiment
+        ClosedLoop(e.drive, e.law, e.scenario, Exact(), dt)

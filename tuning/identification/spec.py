@@ -1,0 +1,165 @@
+"""The [identify] section of a study: logs, columns, free parameters, how to search."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from jaxsim.errors import InputError
+from jaxsim.quantity import to_si
+from jaxsim.study import Study
+from jaxsim.validation import check
+from tuning.identification.experiment import Experiment
+from tuning.identification.robust import LOSSES, Loss, Squares
+from tuning.identification.unknowns import Free, free, path_of, unit_of
+
+INPUTS = ("reference", "load_torque")
+
+
+class Column(BaseModel):
+    """One column of the logs and how it is read. See docs/jobs/identify.md."""
+
+    model_config = ConfigDict(extra="forbid")
+    column: str
+    unit: str | None = None
+    sign: Literal[1, -1] = 1
+    factor: float = 1.0
+    counts: float | None = Field(gt=0.0, default=None)
+    time: str | None = None
+    noise: float | str | None = None
+    spikes: Literal["mask", "keep"] | None = None
+    between: Literal["hold", "linear"] = "hold"
+    axis: int = Field(ge=0, default=0)
+
+
+class Recording(BaseModel):
+    """One experiment: a log (or several by a pattern), what it is for, what is known of it."""
+
+    model_config = ConfigDict(extra="forbid")
+    log: str
+    use: Literal["fit", "test"] = "fit"
+    row: int | None = None
+    begin: float | str | None = None
+    end: float | str | None = None
+    set: dict[str, Any] = {}
+
+
+class Search(NamedTuple):
+    """How the unknowns are searched and how sure one wants to be.
+
+    starts: of the search, the study's own values among them; seed: of the others. loss: robust or
+    not. profile: parameters whose loss is traced. bootstrap: samples over the experiments.
+    """
+
+    starts: int
+    seed: int
+    loss: Loss
+    iterations: int
+    profile: tuple[str, ...]
+    bootstrap: int
+    confidence: float
+
+
+class Spec(NamedTuple):
+    """The section, read and checked against its own rules; logs are not opened yet.
+
+    dt: integration step, s; None takes the largest one not above the study's that divides the
+    sampling. start: where axes start: as the study says, or by the first readings.
+    """
+
+    columns: dict[str, Column]
+    recordings: tuple[Recording, ...]
+    free: dict[str, dict[str, Any]]
+    search: Search
+    dt: float | None
+    start: str
+    folder: Path
+    structures: dict[str, str]
+
+
+class _Identify(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    columns: dict[str, Any]
+    experiments: list[Any]
+    free: dict[str, Any]
+    starts: int = Field(ge=1, default=8)
+    seed: int = Field(ge=0, default=0)
+    robust: Literal["squares", "huber", "soft_l1"] = "squares"
+    threshold: float = Field(gt=0.0, default=3.0)
+    iterations: int = Field(ge=1, default=50)
+    profile: list[str] = []
+    bootstrap: int = Field(ge=0, default=0)
+    confidence: float = Field(gt=0.5, lt=1.0, default=0.95)
+    dt: float | str | None = None
+    start: Literal["study", "readings"] = "study"
+    structures: dict[str, str] = {}
+
+
+class _Free(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    lower: float | str
+    upper: float | str
+    scale: Literal["linear", "log"] | None = None
+    each: Literal["fit", "experiment"] = "fit"
+    of: list[str] = []
+
+
+def read_spec(study: Study, *, starts: int | None = None, seed: int | None = None) -> Spec:
+    """The [identify] section of a study; `starts` and `seed` override it.
+
+    Raises: InputError where it is missing or a key is wrong, unknown or missing.
+    """
+    given = dict(study.section("identify"))
+    if not given:
+        fix = "add [identify.columns], [identify.free] and [[identify.experiments]]"
+        raise InputError("identify", "must be given", "no such section", fix)
+    given |= {k: v for k, v in (("starts", starts), ("seed", seed)) if v is not None}
+    main = check(_Identify, given, "identify")
+    columns = {k: check(Column, v, f"identify.columns.{k}") for k, v in main.columns.items()}
+    recordings = tuple(
+        check(Recording, v, f"identify.experiments[{i}]") for i, v in enumerate(main.experiments)
+    )
+    if not any(r.use == "fit" for r in recordings):
+        raise InputError("identify.experiments", "must hold one to fit", "none", "add a log")
+    if not main.free:
+        raise InputError("identify.free", "must name a parameter", "none", "e.g. K = { ... }")
+    kind = LOSSES[main.robust]
+    loss = kind() if kind is Squares else kind(main.threshold)  # type: ignore[call-arg]
+    search = Search(
+        main.starts, main.seed, loss, main.iterations, tuple(main.profile), main.bootstrap,
+        main.confidence,
+    )  # fmt: skip
+    dt = None if main.dt is None else float(to_si(main.dt, "s", "identify.dt"))
+    return Spec(
+        columns, recordings, main.free, search, dt, main.start, study.folder, main.structures
+    )
+
+
+def read_free(spec: Spec, experiment: Experiment) -> tuple[Free, ...]:
+    """The free parameters of [identify.free], against the tree of an experiment.
+
+    Raises: InputError for unknown names and bounds that do not fit.
+    """
+    return tuple(_free(experiment, name, v) for name, v in spec.free.items())
+
+
+def _free(experiment: Experiment, name: str, given: Any) -> Free:
+    where = f"identify.free.{name}"
+    item = check(_Free, given, where)
+    unit = unit_of(experiment, path_of(experiment, (item.of or [name])[0], where))
+    lower, upper = (
+        float(to_si(getattr(item, k), unit, f"{where}.{k}")) for k in ("lower", "upper")
+    )
+    log = None if item.scale is None else item.scale == "log"
+    own = item.each == "experiment"
+    try:
+        return free(experiment, name, lower, upper, log=log, own=own, of=item.of)
+    except InputError as error:
+        raise InputError(f"identify.{error.field}", error.rule, error.value, error.fix) from None
+
+
+def is_measured(name: str) -> bool:
+    """Whether a key of [identify.columns] is a measured signal: neither time nor an input."""
+    return name != "time" and name not in INPUTS
