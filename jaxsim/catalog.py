@@ -117,6 +117,7 @@ def _own_classes(module: ModuleType) -> list[type]:
 
 
 METRICS = Catalog("metrics", "jaxsim.metrics", "jaxsim.metric:Metric")
+CRITERIA = Catalog("criteria", "jaxsim.criteria", "jaxsim.criterion:Criterion")
 LAWS = Catalog("laws", "jaxsim.laws", "jaxsim.law:Control")
 DRIVES = Catalog("drives", "jaxsim.drives", None)
 DERIVATIVES = Catalog("derivatives", "jaxsim.derivatives", "jaxsim.derivative:Derivatives")

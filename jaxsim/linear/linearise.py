@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -162,21 +162,33 @@ def _with_load(flat: FlatLoop, theta_L: np.ndarray) -> np.ndarray:
     return x
 
 
+class _Newton(NamedTuple):
+    """Of z = (x, reference): a step towards rest, the matrix that gave it, by how much z misses."""
+
+    step: Any
+    slope: Any
+    miss: Any
+
+
 @eqx.filter_jit
-def _newton(flat: FlatLoop, modes: tuple[Any, ...], z: Any, theta_L: Any, d_L: Any) -> Any:
-    """A step of Newton's method for z = (x, reference) at rest, and by how much z misses it."""
+def _newton(flat: FlatLoop, modes: tuple[Any, ...], z: Any, theta_L: Any, d_L: Any) -> _Newton:
+    """One step of Newton's method."""
+    slope = jax.jacfwd(lambda v: _unrest(flat, modes, v, theta_L, d_L))(z)
+    return _towards_rest(slope, _unrest(flat, modes, z, theta_L, d_L))
+
+
+def _unrest(flat: FlatLoop, modes: tuple[Any, ...], z: Any, theta_L: Any, d_L: Any) -> Any:
+    """What is zero at rest: the rates, and the load angles less those to be held."""
     n, p = len(flat.start), flat.axes
-    held = jnp.eye(n)[jnp.asarray(_positions(flat))]
     u = jnp.concatenate([z[n:], d_L, jnp.zeros(p)])
-    rates, (A, B, _, _) = local(flat, modes, z[:n], u)
-    slope = jnp.block([[A, B[:, :p]], [held, jnp.zeros((p, p))]])
-    value = jnp.concatenate([rates, held @ z[:n] - theta_L])
-    size = jnp.linalg.norm(jax.lax.stop_gradient(slope), axis=1)
+    return jnp.concatenate([flat.field(z[:n], u, modes), z[jnp.array(_positions(flat))] - theta_L])
+
+
+def _towards_rest(slope: Any, value: Any) -> _Newton:
+    size = jnp.linalg.norm(slope, axis=1)
     scale = jnp.where(size == 0.0, 1.0, size)
-    # The matrix needs no derivative: at rest the step is one in the residual alone.
-    frozen = jax.lax.stop_gradient(slope) / scale[:, None]
-    step = jnp.linalg.lstsq(frozen, -value / scale, rcond=_RANK)[0]
-    return step, jnp.abs(value / scale).max()
+    step = jnp.linalg.lstsq(slope / scale[:, None], -value / scale, rcond=_RANK)[0]
+    return _Newton(step, slope, jnp.abs(value / scale).max())
 
 
 def rest(flat: FlatLoop, modes: tuple[Any, ...], theta_L: Any, d_L: Any) -> tuple[Any, Any]:
@@ -187,11 +199,16 @@ def rest(flat: FlatLoop, modes: tuple[Any, ...], theta_L: Any, d_L: Any) -> tupl
     frozen, held, loads = jax.lax.stop_gradient((flat, theta_L, d_L))
     start = flat.start.at[jnp.asarray(_positions(flat))].set(held)
     z = jnp.concatenate([jax.lax.stop_gradient(start), jnp.zeros(flat.axes)])
-    z = jax.lax.fori_loop(
-        0, _TRACED_STEPS, lambda _, z: z + _newton(frozen, modes, z, held, loads)[0], z
-    )
-    step, miss = _newton(flat, modes, z, theta_L, d_L)
-    return z + step, miss
+
+    def closer(_: Any, now: tuple[Any, Any]) -> tuple[Any, Any]:
+        found = _newton(frozen, modes, now[0], held, loads)
+        return now[0] + found.step, found.slope
+
+    n = len(z)
+    z, slope = jax.lax.fori_loop(0, _TRACED_STEPS, closer, (z, jnp.zeros((n, n))))
+    # At rest the step is one in the residual alone: the matrix needs no derivative.
+    last = _towards_rest(slope, _unrest(flat, modes, z, theta_L, d_L))
+    return z + last.step, last.miss
 
 
 def _equilibrium(
@@ -205,11 +222,12 @@ def _equilibrium(
     z = np.concatenate([_with_load(flat, theta_L), np.zeros(p)])
     held, loads = jnp.asarray(theta_L), jnp.asarray(d_L)
     for _ in range(_STEPS):
-        step, miss = (np.asarray(v) for v in _newton(flat, modes, jnp.asarray(z), held, loads))
+        found = _newton(flat, modes, jnp.asarray(z), held, loads)
+        step = np.asarray(found.step)
         if np.all(np.abs(step) <= _SETTLED * (1.0 + np.abs(z))):
             break
         z = z + step
-    if not miss <= AT_REST * (1.0 + np.abs(z).max()):
+    if not found.miss <= AT_REST * (1.0 + np.abs(z).max()):
         raise InputError(
             "theta_L", "must be an angle at which the drive can rest in these modes",
             theta_L.tolist(), "choose the contact that carries the load, or another angle",

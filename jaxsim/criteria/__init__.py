@@ -1,0 +1,1 @@
+"""Stability criteria: one file each, found by scanning this folder."""
