@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +12,7 @@ import numpy as np
 from jaxsim import batch, engine
 from jaxsim.batch import Batch
 from jaxsim.catalog import METRICS
+from jaxsim.criterion import Criterion, Subject, chosen
 from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact
@@ -37,6 +39,7 @@ class _Options(eqx.Module):
     store: int | None = eqx.field(static=True)
     groups: tuple[type[Metric], ...] = eqx.field(static=True)
     names: tuple[str, ...] | None = eqx.field(static=True)
+    criteria: tuple[type[Criterion], ...] = eqx.field(static=True)
     dt: float = eqx.field(static=True)
     deadzone: Deadzone
 
@@ -57,7 +60,8 @@ def simulate(
 
     drive, law, scenario: single, or `Batch` (then everything in the result has a leading axis).
     dt: integration step, s; a sampled law's period must be a multiple of it. deadzone: `Exact()`
-    (default), `Smoothed(...)` or `Plain()`. metrics: names to compute, None for all, () for none.
+    (default), `Smoothed(...)` or `Plain()`. metrics: names to compute, of metrics and of stability
+    criteria; None for all metrics, () for none.
     store: keep the signals every so many ticks, None keeps no trajectory. dtype: float32 or
     float64, default JAX's. throw: raise when a run does not complete (never inside jit).
 
@@ -74,7 +78,8 @@ def simulate(
     loop = ClosedLoop(single[0], single[1], single[2], options.deadzone, dt)
     arrays = _run(options, *trees) if size is None else batch.gathered(_run_batch(options, *trees))
     # jit hands dictionaries back in alphabetical order; people read them by group.
-    order = options.names or tuple(v for group in options.groups for v in group.values)
+    every = tuple(v for group in options.groups for v in group.values)
+    order = every if metrics is None else tuple(metrics)
     arrays["metrics"] = {name: arrays["metrics"][name] for name in order}
     problems = _problems(arrays["status"], (drive, law, scenario))
     run = Run(**arrays, surfaces=loop.surface_names(), units=loop.units, problems=problems)
@@ -94,10 +99,13 @@ def _options(
         raise InputError("store", "must be >= 1 or None", store, "e.g. 1 for every tick")
     ticks = (scenario.members if isinstance(scenario, Batch) else scenario).ticks(dt)
     known = METRICS.all()
-    names = tuple(v for group in known.values() for v in group.values)
-    groups = choose(known, names if metrics is None else tuple(metrics))
-    chosen = None if metrics is None else tuple(metrics)
-    return _Options(ticks, store, groups, chosen, dt, Exact() if deadzone is None else deadzone)
+    every = tuple(v for group in known.values() for v in group.values)
+    wanted = every if metrics is None else tuple(metrics)
+    criteria = chosen(wanted, every)
+    own = tuple(name for name in wanted if name in every)
+    names = None if metrics is None else own
+    deadzone = Exact() if deadzone is None else deadzone
+    return _Options(ticks, store, choose(known, own), names, criteria, dt, deadzone)
 
 
 @eqx.filter_jit
@@ -114,7 +122,7 @@ def _run(options: _Options, drive: Drive, law: Any, scenario: Scenario) -> dict[
     stored = options.store is not None
     last, marks = engine.advance(loop, carry, options.ticks, steps, metrics, stored)
     arrays = _trajectory(loop, options, carry, marks) if marks is not None else _no_trajectory()
-    numbers = _metrics(options, metrics, last)
+    numbers = _metrics(options, metrics, last) | _criteria(options, loop)
     bad = last.status == Status.INVALID.value
     numbers = {k: jnp.where(bad, jnp.nan, v) for k, v in numbers.items()}
     return {**arrays, "metrics": numbers, "status": last.status, "event_count": last.events}
@@ -138,6 +146,23 @@ def _metrics(options: _Options, metrics: Any, carry: engine.Carry) -> dict[str, 
     if len(per_axis) == 1:
         return {name: per_axis[0][name] for name in names}
     return {name: jnp.stack([axis[name] for axis in per_axis]) for name in names}
+
+
+def _criteria(options: _Options, loop: ClosedLoop) -> dict[str, Any]:
+    """The numbers of the stability criteria, one per axis where there are several."""
+
+    def again(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
+        groups = choose(METRICS.all(), names)
+        own = replace(options, store=None, groups=groups, names=names, criteria=())
+        return _run(own, loop.drive, loop.law, scenario)["metrics"]
+
+    numbers: dict[str, Any] = {}
+    subject = Subject(loop, again)
+    for criterion in options.criteria:
+        numbers |= criterion().measure(subject)
+    axes = loop.drive.axes
+    shape = () if axes == 1 else (axes,)
+    return {k: jnp.broadcast_to(v.reshape(-1), (axes,)).reshape(shape) for k, v in numbers.items()}
 
 
 def _no_trajectory() -> dict[str, Any]:
