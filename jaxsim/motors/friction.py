@@ -10,8 +10,10 @@ from jaxsim.parameters import NON_NEGATIVE, POSITIVE, Parameters, parameter
 
 
 def stick_guard(speed: Scalar, excess: Scalar, own: Scalar, other: Scalar) -> Scalar:
-    """Guard of slipping one way. Slipping that way: its speed. Stuck: the excess of torque over
-    what the stick holds, that way. Slipping the other way: out of play.
+    """Guard of slipping one way.
+
+    Slipping that way: its speed. Stuck: the excess of torque over what the stick holds, that way.
+    Slipping the other way: out of play.
 
     own, other: modes of this way and the other. Where modes are not known (0), the speed decides,
     and at rest the excess.
