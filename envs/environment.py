@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from envs.pruned import prune
 from envs.task import TASKS, Task
 from jaxsim import engine
 from jaxsim.catalog import METRICS
@@ -19,6 +18,7 @@ from jaxsim.law import Measured, as_joint_law
 from jaxsim.loop import ClosedLoop, When, cast
 from jaxsim.metric import choose, task_of
 from jaxsim.observation import Horizon, Memory, Seen, act, first_memory, observe, remember
+from jaxsim.pruned import prune
 from jaxsim.sampled import Encoders, Sensors, TrueSpeeds
 from jaxsim.status import Status
 

@@ -19,6 +19,7 @@ from jaxsim.hybrid import Deadzone, Exact
 from jaxsim.loop import ClosedLoop, Outputs, When, cast
 from jaxsim.metric import Metric, choose, task_of
 from jaxsim.parameters import is_concrete, violations
+from jaxsim.pruned import prune
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario
 from jaxsim.status import Status
@@ -112,10 +113,7 @@ def _options(
 def _run(options: _Options, drive: Drive, law: Any, scenario: Scenario) -> dict[str, Any]:
     """One run, as a dictionary of arrays."""
     loop = ClosedLoop(drive, law, scenario, options.deadzone, options.dt)
-    metrics = tuple(
-        tuple(group(task_of(loop, axis, group.reference_unit)) for group in options.groups)
-        for axis in range(drive.axes)
-    )
+    metrics = tuple(_axis_metrics(loop, options, axis) for axis in range(drive.axes))
     folds = tuple(tuple(m.start() for m in own) for own in metrics)
     carry = engine.start(loop, folds if options.groups else ())
     steps = engine.budget(loop, options.ticks)
@@ -126,6 +124,12 @@ def _run(options: _Options, drive: Drive, law: Any, scenario: Scenario) -> dict[
     bad = last.status == Status.INVALID.value
     numbers = {k: jnp.where(bad, jnp.nan, v) for k, v in numbers.items()}
     return {**arrays, "metrics": numbers, "status": last.status, "event_count": last.events}
+
+
+def _axis_metrics(loop: ClosedLoop, options: _Options, axis: int) -> tuple[Any, ...]:
+    """The metrics of one axis, carrying only what the numbers asked for stand on."""
+    whole = tuple(group(task_of(loop, axis, group.reference_unit)) for group in options.groups)
+    return whole if options.names is None else tuple(prune(m, options.names) for m in whole)
 
 
 @eqx.filter_jit

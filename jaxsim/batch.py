@@ -99,10 +99,10 @@ def map_members(function: Callable[..., Any], *trees: Any) -> Any:
     """
     own, shared, one = _separated(function, trees)
     chunk = jax.vmap(one, in_axes=(0, None))
+    if not native_loops():
+        return chunk(own, shared)
     size = size_of(*trees) or 0
     layout = _layout(size, _cores())
-    if (layout.padded <= _LANES and layout.cores == 1) or not native_loops():
-        return chunk(own, shared)
     rows = np.minimum(np.arange(layout.padded), size - 1).reshape(-1, layout.width)
 
     def chunks(own_leaves: Any, shared_leaves: Any) -> Any:
@@ -153,8 +153,12 @@ class _Layout(NamedTuple):
 
 
 def _layout(size: int, cores: int) -> _Layout:
-    """Equal chunks of at most `_LANES` members, and as many for each core."""
-    cores = max(1, min(cores, size // _LEAST))
+    """Equal chunks of at most `_LANES` members, and as many for each core.
+
+    Small batches take two cores where there are two: what is compiled for one core alone is fused,
+    and so rounded, in another way, and a member's numbers would depend on its batch.
+    """
+    cores = min(cores, max(2, size // _LEAST))
     chunks = cores * -(-size // (_LANES * cores))
     width = -(-size // (chunks * _VECTOR)) * _VECTOR
     return _Layout(width, chunks * width, cores)

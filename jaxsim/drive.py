@@ -176,7 +176,7 @@ class Drive(eqx.Module):
 
     def speed(self, axis: int, state: AxisState) -> Scalar:
         """omega_B = omega_M/N - omega_L, rad/s (4)."""
-        return state.omega_M / self.transmission[axis].ratio - state.omega_L
+        return (1.0 / self.transmission[axis].ratio) * state.omega_M - state.omega_L
 
     def guards(
         self, state: tuple[AxisState, ...], modes: tuple[tuple[Scalar, ...], ...]
@@ -202,7 +202,7 @@ class Drive(eqx.Module):
         """What the motors feel under the joint torques T_s, per axis."""
         ratios = (t.ratio for t in self.transmission)
         return tuple(
-            Shaft(N * (s.theta_L + s.theta_B), s.omega_M, T_s / N)
+            Shaft(N * (s.theta_L + s.theta_B), s.omega_M, (1.0 / N) * T_s)
             for N, s, T_s in zip(ratios, state, torques, strict=True)
         )
 

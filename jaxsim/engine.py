@@ -21,7 +21,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxsim import events, hermite, integrate
 from jaxsim.events import Exit, Landing, choose
-from jaxsim.hermite import Cubic
+from jaxsim.hermite import Cubic, any_member
 from jaxsim.loop import ClosedLoop, Outputs, State, When
 from jaxsim.status import Status
 
@@ -152,7 +152,7 @@ def _arrived(loop: ClosedLoop, carry: Carry, until: Any, metrics: Any, steps: in
 
     def going(state: tuple[Carry, Scalar]) -> Scalar:
         c, count = state
-        return _any_member(_active(c, until)) & (count < steps)
+        return any_member(_active(c, until)) & (count < steps)
 
     def micro(state: tuple[Carry, Scalar]) -> tuple[Carry, Scalar]:
         c, count = state
@@ -182,20 +182,6 @@ def _(steps: int, primals: Any, tangents: Any) -> tuple[Carry, Carry]:
         [v for v, m in zip(leaves, moves, strict=True) if m],
         [v for v, m in zip(slopes, moves, strict=True) if m],
     )
-
-
-@jax.custom_batching.custom_vmap
-def _any_member(condition: Scalar) -> Scalar:
-    """Whether a condition holds for any member of the batch that this run is in.
-
-    vmap would give a loop with a condition per member, and a select on all that it carries.
-    """
-    return condition
-
-
-@_any_member.def_vmap
-def _(size: int, batched: list[bool], conditions: Any) -> tuple[Any, bool]:
-    return jnp.any(conditions), False
 
 
 def _active(c: Carry, until: Any) -> Scalar:

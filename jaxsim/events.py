@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from typing import Any, NamedTuple
 
 import jax
@@ -98,8 +100,15 @@ def settled(
     """Modes that are still 0 (guard identically zero so far) take the sign of value, then rate."""
     if not modes:
         return modes
-    rates = field(loop, when, x, modes, held)
-    return _signs(loop.surfaces, modes, *guards(loop, when, x, modes, held, rates))
+
+    def signs(known: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        rates = field(loop, when, x, known, held)
+        return _signs(loop.surfaces, known, *guards(loop, when, x, known, held, rates))
+
+    # Only at the start of a run and after rest is any of them 0.
+    loop, when, x, held = jax.lax.stop_gradient((loop, when, x, held))
+    unknown = functools.reduce(operator.or_, (mode == 0.0 for mode in modes))
+    return jax.lax.cond(hermite.any_member(unknown), signs, lambda known: known, modes)
 
 
 def _signs(
@@ -163,7 +172,7 @@ def earliest_exit(
         chosen = now if chosen is None else choose(first, now, chosen)
     if chosen is None:
         return best
-    share = hermite.first_root(chosen.cubic, chosen.negative_at, chosen.tolerance)
+    share = hermite.first_root(chosen.cubic, chosen.negative_at, chosen.tolerance, best.any)
     return best._replace(share=share)
 
 

@@ -85,8 +85,8 @@ def leaves_positive(c: Cubic, tolerance: Scalar) -> tuple[Scalar, Scalar]:
     return dips | ends, jnp.where(dips, s_dip, 1.0)
 
 
-def first_root(c: Cubic, s_negative: Scalar, tolerance: Scalar) -> Scalar:
-    """The root of c between 0, where c >= 0, and `s_negative`, where c < 0.
+def first_root(c: Cubic, s_negative: Scalar, tolerance: Scalar, wanted: Scalar) -> Scalar:
+    """The root of c between 0, where c >= 0, and `s_negative`, where c < 0, if it is `wanted`.
 
     A step that starts ON the surface has the trivial root s = 0: it is divided out, so that a
     return to the surface within the same step is found. Not differentiable: callers that need
@@ -99,12 +99,33 @@ def first_root(c: Cubic, s_negative: Scalar, tolerance: Scalar) -> Scalar:
     low, high = jnp.zeros_like(s_negative), s_negative
     start, end = f.value(low), f.value(high)
     s = high * jnp.clip(_safe_divide(start, start - end), 0.0, 1.0)
+    s = jax.lax.cond(any_member(wanted), _polished, lambda f, s, high: s, f, s, high)
+    return jnp.where(start <= 0.0, 0.0, s)
+
+
+def _polished(f: Cubic, s: Scalar, high: Scalar) -> Scalar:
+    """The root of f on [0, high] by safeguarded Newton iterations from s."""
+    low = jnp.zeros_like(s)
     for _ in range(_POLISH):
         value = f.value(s)
         low, high = jnp.where(value >= 0.0, s, low), jnp.where(value >= 0.0, high, s)
         newton = s - _safe_divide(value, f.slope(s))
         s = jnp.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-    return jnp.where(start <= 0.0, 0.0, s)
+    return s
+
+
+@jax.custom_batching.custom_vmap
+def any_member(condition: Scalar) -> Scalar:
+    """Whether a condition holds for any member of the batch that a run is in.
+
+    For what is dear and rarely needed: vmap alone turns a cond into a select, and does both.
+    """
+    return condition
+
+
+@any_member.def_vmap
+def _(size: int, batched: list[bool], conditions: Any) -> tuple[Any, bool]:
+    return jnp.any(conditions), False
 
 
 def crossing(c: Cubic) -> tuple[Scalar, Scalar]:
@@ -113,7 +134,7 @@ def crossing(c: Cubic) -> tuple[Scalar, Scalar]:
     The derivative of the fraction is that of the implicit function c(s) = 0.
     """
     crosses = (c.c0 < 0.0) & (c.value(1.0) >= 0.0)
-    s = first_root(jax.lax.stop_gradient(c).scaled(-1.0), jnp.ones_like(c.c0), 0.0)
+    s = first_root(jax.lax.stop_gradient(c).scaled(-1.0), jnp.ones_like(c.c0), 0.0, crosses)
     slope = jax.lax.stop_gradient(c.slope(s))
     s = s - _safe_divide(c.value(s), slope)
     return crosses, jnp.where(crosses, s, 1.0)

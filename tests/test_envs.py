@@ -14,7 +14,6 @@ import pytest
 from scipy.linalg import expm
 
 from envs.environment import Environment, State
-from envs.pruned import prune
 from envs.task import TASKS
 from jaxsim._simulate import simulate
 from jaxsim.catalog import snake_case
@@ -22,6 +21,7 @@ from jaxsim.errors import InputError
 from jaxsim.hybrid import Plain
 from jaxsim.metric import Task
 from jaxsim.metrics.impacts import Impacts
+from jaxsim.pruned import prune
 from jaxsim.sampled import TrueSpeeds
 from jaxsim.status import Status
 from jaxsim.study import load

@@ -38,11 +38,11 @@ class PD(Law):
         return (y.reference - y.theta_L,)
 
     def field(self, state: Any, y: Measured, switches: tuple[Switch, ...]) -> Any:
-        return ((y.reference - y.theta_L - state[0]) / self.tau_D,)
+        return ((1.0 / self.tau_D) * (y.reference - y.theta_L - state[0]),)
 
     def command(self, state: Any, y: Measured, switches: tuple[Switch, ...]) -> Scalar:
         error = y.reference - y.theta_L
-        return self.K_P * error + self.K_D * (error - state[0]) / self.tau_D
+        return self.K_P * error + (self.K_D / self.tau_D) * (error - state[0])
 
 
 def place_poles(drive: Drive, omega_1: float, omega_2: float, zeta: float) -> PD:

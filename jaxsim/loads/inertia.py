@@ -19,4 +19,4 @@ class Inertia(Load):
     def acceleration(
         self, theta_L: tuple[Scalar, ...], omega_L: tuple[Scalar, ...], torque: tuple[Scalar, ...]
     ) -> tuple[Scalar, ...]:
-        return ((torque[0] - self.D_L * omega_L[0]) / self.J_L,)
+        return ((1.0 / self.J_L) * (torque[0] - self.D_L * omega_L[0]),)

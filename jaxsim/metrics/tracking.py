@@ -30,10 +30,9 @@ class Tracking(Metric):
     def update(self, fold: Any, piece: Piece) -> Any:
         iae, itae, square = fold
         error = piece.cubic("theta_L").shifted(-self.task.target).scaled(-1.0)
-        rising, s_up = hermite.crossing(error)
-        falling, s_down = hermite.crossing(error.scaled(-1.0))
-        cut = jnp.where(rising, s_up, jnp.where(falling, s_down, 1.0))
-        first = jnp.where(rising, -1.0, jnp.where(falling, 1.0, jnp.sign(error.value(0.5))))
+        side = jnp.where(error.c0 < 0.0, -1.0, 1.0)
+        crosses, cut = hermite.crossing(error.scaled(-side))
+        first = jnp.where(crosses, side, jnp.sign(error.value(0.5)))
 
         def weighted(s: Scalar) -> Scalar:
             return (piece.t + s * piece.h - self.task.onset) * error.value(s)

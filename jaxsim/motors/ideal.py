@@ -29,4 +29,4 @@ class Ideal(Motor):
     def field(
         self, shaft: Shaft, extra: Any, command: Scalar, switches: tuple[Switch, ...]
     ) -> tuple[Scalar, Any]:
-        return (command - self.D_M * shaft.omega_M - shaft.torque) / self.J_M, ()
+        return (1.0 / self.J_M) * (command - self.D_M * shaft.omega_M - shaft.torque), ()
