@@ -1,0 +1,1 @@
+"""Subcommands of `gearlash` that train and compare agents."""

@@ -1,0 +1,121 @@
+"""`gearlash train`: an agent for a task."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def command(
+    task: Annotated[str, typer.Argument(help="Task, such as backlash_position.")],
+    out: Annotated[Path, typer.Option(help="Folder for policy, curve and checkpoints.")],
+    algo: Annotated[str, typer.Option(help="apg, ppo, sac or td3.")] = "apg",
+    seed: Annotated[int, typer.Option(min=0, help="Of weights and training episodes.")] = 0,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="NAME=VALUE for an entry of the preset; repeat."),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
+) -> None:
+    """Train an agent: analytic policy gradients, or PPO, SAC, TD3 of stable-baselines3."""
+    from jaxsim.commands.simulate import pairs
+    from rl.spec import read_spec
+    from rl.store import read_spec_of
+
+    if resume:
+        if change:
+            _refuse_changes()
+        spec = read_spec_of(out)
+    else:
+        spec = read_spec(task, algo, seed, pairs(change or []))
+    import jaxsim
+
+    # Training is in float32: twice as fast, and no finer than what its episodes differ by.
+    jaxsim.configure(x64=False)
+    from rich.console import Console
+
+    from jaxsim.provenance import make_folder
+
+    make_folder("--out", out)
+    if not resume:
+        _keep_what_is_there(out)
+    console = Console()
+    with console.status("Setting up ..."):
+        session = _session(spec, out, resume)
+    try:
+        _run(session, console)
+    except KeyboardInterrupt:
+        console.print("Interrupted: --resume goes on from the last validation.", style="yellow")
+        raise typer.Exit(130) from None
+    _conclude(session, console)
+
+
+def _refuse_changes() -> None:
+    from jaxsim.errors import InputError
+
+    fix = "leave out --set, or train into another folder"
+    raise InputError("--resume", "goes on with the spec in the folder", "--set", fix)
+
+
+def _keep_what_is_there(out: Path) -> None:
+    from jaxsim.errors import InputError
+
+    if (out / "state.json").exists():
+        fix = "add --resume to go on, or name another folder"
+        raise InputError("--out", "must not hold a training already", out, fix)
+
+
+def _session(spec: Any, out: Path, resume: bool) -> Any:
+    from rl.session import Session
+
+    return Session(spec, out, resume=resume)
+
+
+def _run(session: Any, console: Any) -> None:
+    """The training under a progress bar."""
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    spec = session.spec
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=16),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[shown]}"),
+    )
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(f"{spec.algo} {spec.task}", total=spec.total, shown="compiling")
+        if session.rows:
+            bar.update(task, completed=session.trainer.done, shown="")
+
+        def tell(row: Any) -> None:
+            shown = f"cost {row.cost:.4g}, loss {row.validation:.4g}, best {row.best:.4g}"
+            bar.update(task, completed=row.done, shown=shown)
+
+        session.run(tell)
+
+
+def _conclude(session: Any, console: Any) -> None:
+    """Score on the test episodes; write result and curve; say how it went."""
+    from rl.figures import learning
+    from rl.store import write_result
+
+    with console.status("Scoring on test episodes ..."):
+        scores = session.test()
+    folder = session.folder
+    result = write_result(folder, session.spec, session.rows, scores)
+    learning(folder / "learning.png", {session.spec.algo: [session.rows]}, session.spec.task)
+    console.print(
+        f"Median cost {result['test_cost_median']:.4g} over {len(scores.cost)} test episodes; "
+        f"{result['steps']:,} steps, {result['cpu_s']:.0f} CPU s."
+    )
+    console.print(f"Wrote policy.json, law.toml, progress.csv, result.json, learning.png: {folder}")

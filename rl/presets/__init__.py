@@ -1,0 +1,1 @@
+"""Presets of the algorithms: one TOML file each, [default] and what tasks change of it."""
