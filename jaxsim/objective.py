@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from pydantic import BaseModel, ConfigDict, Field
 
 from jaxsim.catalog import METRICS
+from jaxsim.criterion import chosen
 from jaxsim.errors import InputError
 from jaxsim.validation import check
 
@@ -24,11 +25,28 @@ class Goal(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """metric <= most for every drive and scenario (the worst case), or for a quantile of them."""
+    """metric <= bound for every drive and scenario (the worst case), or for a quantile of them.
+
+    With least: metric >= bound.
+    """
 
     metric: str
-    most: float
+    bound: float
     over: Over
+    least: bool = False
+
+    @property
+    def sign(self) -> float:
+        """1, or -1 where the metric must be large: sign*metric <= sign*bound."""
+        return -1.0 if self.least else 1.0
+
+    @property
+    def words(self) -> str:
+        return f"{self.metric} {'>=' if self.least else '<='} {self.bound:g}"
+
+    def excess(self, value: Any) -> Any:
+        """By how much a value breaks it, in the unit of the metric; <= 0 where it holds."""
+        return self.sign * (value - self.bound)
 
 
 class Objective(NamedTuple):
@@ -50,7 +68,8 @@ class _Goal(BaseModel):
 
 class _Limit(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    most: float = Field(allow_inf_nan=False)
+    most: float | None = Field(allow_inf_nan=False, default=None)
+    least: float | None = Field(allow_inf_nan=False, default=None)
     over: Over = "worst"
 
 
@@ -58,8 +77,8 @@ def read_objective(table: Mapping[str, Any], where: str = "objective") -> Object
     """The objective that a table describes.
 
     `minimise = { METRIC = WEIGHT or { weight, over } }`, `limits = { METRIC = MOST or
-    { most, over } }` with over = "mean", "worst" or a quantile such as 0.95. Defaults: the mean
-    for goals, the worst case for limits.
+    { most or least, over } }` with over = "mean", "worst" or a quantile such as 0.95. Defaults:
+    the mean for goals, the worst case for limits. METRIC is a metric or a stability criterion.
 
     Raises: InputError for unknown keys and metrics, or where nothing is to be minimised.
     """
@@ -71,7 +90,7 @@ def read_objective(table: Mapping[str, Any], where: str = "objective") -> Object
         for name, item in _items(table, "minimise", _Goal, "weight", where)
     ]
     limits = [
-        Limit(name, item.most, _over(item.over, f"{where}.limits.{name}"))
+        _limit(name, item, f"{where}.limits.{name}")
         for name, item in _items(table, "limits", _Limit, "most", where)
     ]
     if not goals:
@@ -81,20 +100,35 @@ def read_objective(table: Mapping[str, Any], where: str = "objective") -> Object
     return Objective(tuple(goals), tuple(limits))
 
 
+def _limit(name: str, item: _Limit, where: str) -> Limit:
+    given = [v for v in (item.most, item.least) if v is not None]
+    if len(given) != 1:
+        got = {"most": item.most, "least": item.least}
+        raise InputError(where, "must have one bound, most or least", got, "e.g. { least = 6.0 }")
+    return Limit(name, given[0], _over(item.over, where), item.most is None)
+
+
 def _items(
     table: Mapping[str, Any], key: str, model: type[BaseModel], main: str, where: str
 ) -> list[tuple[str, Any]]:
     given = table.get(key, {})
     if not isinstance(given, Mapping):
         raise InputError(f"{where}.{key}", "must be a table", repr(given), "e.g. METRIC = 1.0")
-    known = [v for group in METRICS.all().values() for v in group.values]
     items = []
     for name, value in given.items():
-        if name not in known:
-            raise InputError.unknown(f"{where}.{key}.{name}", name, known)
+        check_name(name, f"{where}.{key}.{name}")
         wanted = value if isinstance(value, Mapping) else {main: value}
         items.append((name, check(model, wanted, f"{where}.{key}.{name}")))
     return items
+
+
+def check_name(name: str, where: str) -> None:
+    """Raises: InputError for what is neither a metric nor a criterion, with the nearest."""
+    metrics = [v for group in METRICS.all().values() for v in group.values]
+    try:
+        chosen((name,), metrics)
+    except InputError as error:
+        raise InputError(where, error.rule, error.value, error.fix) from None
 
 
 def _over(over: Over, where: str) -> Over:

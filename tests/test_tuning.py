@@ -275,7 +275,7 @@ def test_limits_hold_on_every_drive_by_fresh_runs_at_half_the_step(finished: Ses
     active = [v for v in result.verdicts if v.price > 0.0]
     assert active  # the limits are what stops this search, so they were really needed
     for v in active:
-        assert v.limit.most * (1.0 - 3.0 * RESERVE) <= v.value <= v.limit.most
+        assert v.limit.bound * (1.0 - 3.0 * RESERVE) <= v.value <= v.limit.bound
     assert "every limit holds on all 3 drives" in sentences(finished, result)[0]
 
 

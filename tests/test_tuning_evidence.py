@@ -91,11 +91,11 @@ def test_price_is_what_another_bound_buys_also_after_resume(
     active = [v for v in result.verdicts if v.price > 0.0]
     assert active
     for v in active:
-        limits = {x.limit.metric: x.limit.most for x in result.verdicts}
+        limits = {x.limit.metric: x.limit.bound for x in result.verdicts}
         limits[v.limit.metric] *= 1.0 + more
         other = searched(study(limits=limits), tmp_path / v.limit.metric)
         saved = result.searched - other.progress().cost
-        assert saved == pytest.approx(v.price * more * v.limit.most, rel=0.1)
+        assert saved == pytest.approx(v.price * more * v.limit.bound, rel=0.1)
 
     again = Session(study(), read_spec(study()), finished.file)
     resume(again)

@@ -78,10 +78,11 @@ def cases(problem: Problem, outcome: Outcome, drives: np.ndarray) -> tuple[Case,
     objective, values = problem.spec.objective, outcome.values[0]
     local = localise(objective, problem.metrics, values, outcome.slopes[0])
     if objective.limits:
-        first = objective.limits[int(np.argmax(local.excess))].metric
+        nearest = objective.limits[int(np.argmax(local.excess))]
+        first, sign = nearest.metric, nearest.sign
     else:
-        first = objective.goals[0].metric
-    own = values[..., problem.metrics.index(first)]
+        first, sign = objective.goals[0].metric, 1.0
+    own = sign * values[..., problem.metrics.index(first)]
     row, case = np.unravel_index(int(np.nanargmax(own)), own.shape)
     scenario = int(case) // (values.shape[1] // len(problem.scenarios))
     return tuple(dict.fromkeys([Case(int(drives[0]), 0), Case(int(drives[row]), scenario)]))

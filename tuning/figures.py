@@ -88,14 +88,14 @@ def _draw_bounds(session: Session, axes: Any) -> None:
     for limit in session.spec.objective.limits:
         if limit.metric == "largest_torque_Nm":
             for ax in axes[_SIGNALS.index("T_s")]:
-                both = [ax.axhline(s * limit.most, color=colour, ls="--", lw=1.0) for s in (1, -1)]
+                both = [ax.axhline(s * limit.bound, color=colour, ls="--", lw=1.0) for s in (1, -1)]
                 ax.legend(both[:1], ["limit"], loc="center right")
 
 
 def _spread(session: Session, result: Result, path: Path) -> None:
     """Share of the drives below a value, per metric of the objective: before and after."""
     names = session.problem.metrics
-    bounds = {x.metric: x.most for x in session.spec.objective.limits}
+    bounds = {x.metric: x.bound for x in session.spec.objective.limits}
     with plots.figure(
         path, 1, len(names), squeeze=False, size=(3.6 * len(names) + 0.8, 3.4)
     ) as axes:

@@ -111,7 +111,7 @@ def draw(study: Study, found: GainMap, marks: dict[str, tuple[float, float]], pa
     columns = 2 if count in (2, 4) else min(count, 3)
     rows = -(-count // columns)
     size = (4.6 * columns + 0.8, 3.9 * rows + (0.9 if found.modes else 0.3))
-    limits = {} if study.objective is None else {x.metric: x.most for x in study.objective.limits}
+    limits = {} if study.objective is None else {x.metric: x.bound for x in study.objective.limits}
     with plots.figure(path, rows, columns, squeeze=False, size=size) as axes:
         panels = list(axes.ravel())
         for ax, (name, values) in zip(panels, found.metrics.items(), strict=False):

@@ -16,8 +16,8 @@ RESERVE = 1e-4
 class Rows(NamedTuple):
     """A term of which the largest row counts: values (k,), slopes (k, P), its factor.
 
-    For a goal the factor is its weight; a limit has values (metric - most)/factor + RESERVE,
-    <= 0 if it is kept with the reserve.
+    For a goal the factor is its weight; a limit has values (metric - bound)/factor + RESERVE, with
+    the opposite sign where the bound is a least one: <= 0 if it is kept with the reserve.
     source: the drive of each row, by its place among the drives looked at.
     """
 
@@ -60,25 +60,26 @@ def localise(
     """
     source = np.repeat(np.arange(len(values)), values.shape[1])
 
-    def rows(metric: str, over: Over) -> Rows:
+    def rows(metric: str, over: Over, sign: float = 1.0) -> Rows:
         at = names.index(metric)
-        own = values[..., at].reshape(-1), slopes[..., at, :].reshape(len(source), -1)
+        own = sign * values[..., at].reshape(-1), sign * slopes[..., at, :].reshape(len(source), -1)
         return _over(*own, source, over)
 
     return Local(
         tuple(rows(g.metric, g.over)._replace(factor=g.weight) for g in objective.goals),
-        tuple(_relative(rows(x.metric, x.over), x) for x in objective.limits),
+        tuple(_relative(rows(x.metric, x.over, x.sign), x) for x in objective.limits),
     )
 
 
 def size(limit: Limit) -> float:
     """What an excess of a limit is measured by: the bound, or 1 SI unit where that is 0."""
-    return abs(limit.most) or 1.0
+    return abs(limit.bound) or 1.0
 
 
 def _relative(rows: Rows, limit: Limit) -> Rows:
     by = size(limit)
-    return Rows((rows.values - limit.most) / by + RESERVE, rows.slopes / by, by, rows.source)
+    excess = rows.values - limit.sign * limit.bound
+    return Rows(excess / by + RESERVE, rows.slopes / by, by, rows.source)
 
 
 def _over(values: np.ndarray, slopes: np.ndarray, source: np.ndarray, over: Over) -> Rows:

@@ -93,15 +93,16 @@ def _limits(session: Session, result: Result) -> Table | Text:
     if not result.verdicts:
         return Text(["The study sets no limits."])
     rows = [_limit(session, v) for v in result.verdicts]
-    head = ["limit", "at most", "over", "value", "at half dt", "holds", "worst on"]
+    head = ["limit", "bound", "over", "value", "at half dt", "holds", "worst on"]
     caption = "Limits; price: d cost/d bound at the tuned law, 0 where the limit does not press."
     return Table(caption, [*head, "price"], rows)
 
 
 def _limit(session: Session, v: Verdict) -> list[Any]:
-    numbers = [v.limit.most, str(v.limit.over), v.value, v.finer]
+    numbers = [v.limit.bound, str(v.limit.over), v.value, v.finer]
     where = session.problem.label(v.drive, v.scenario)
-    return [v.limit.metric, *numbers, "yes" if v.holds else "NO", where, _known(v.price)]
+    name = f"{v.limit.metric} {'>=' if v.limit.least else '<='}"
+    return [name, *numbers, "yes" if v.holds else "NO", where, _known(v.price)]
 
 
 def _known(value: float) -> float | None:

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxsim.catalog import METRICS
 from jaxsim.errors import InputError
-from jaxsim.objective import Goal, Limit, Objective
+from jaxsim.objective import Goal, Limit, Objective, check_name
 from jaxsim.study import Study
 from tuning import solver, space
 from tuning.local import RESERVE, Local, localise
@@ -81,10 +80,8 @@ def pair_of(objective: Objective, names: tuple[str, str]) -> tuple[Goal, Goal]:
 
     Raises: InputError for an unknown metric, with the nearest, and for one named twice.
     """
-    known = [v for group in METRICS.all().values() for v in group.values]
     for name in names:
-        if name not in known:
-            raise InputError.unknown("--between/--and", name, known)
+        check_name(name, "--between/--and")
     if names[0] == names[1]:
         raise InputError("--and", "must be another metric", names[1], "name two goals")
     over = {x.metric: x.over for x in (*objective.limits, *objective.goals)}
@@ -352,5 +349,5 @@ def conclude(
 
 def _point(tracer: Tracer, gains: np.ndarray, scores: Scores) -> Point:
     first, second = (scores.over(g.metric, g.over) for g in tracer.pair)
-    holds = all(scores.over(x.metric, x.over) <= x.most for x in tracer.limits)
+    holds = all(x.excess(scores.limited(x)) <= 0.0 for x in tracer.limits)
     return Point(gains, (first, second), scores, bool(holds and not scores.status.any()))

@@ -144,7 +144,7 @@ def draw(spec: Spec, front: Front, path: Path) -> None:
         for x in spec.objective.limits:
             line = {second.metric: left.axvline, first.metric: left.axhline}.get(x.metric)
             if line is not None:
-                line(x.most, color=plots.COLOURS["limit"], ls="--", lw=1.0, label="limit")
+                line(x.bound, color=plots.COLOURS["limit"], ls="--", lw=1.0, label="limit")
         left.set_xlabel(_axis(second))
         left.set_ylabel(_axis(first))
         _scale_axes(left, goals)

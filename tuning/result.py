@@ -26,7 +26,8 @@ _NEAR = 1e-2
 class Verdict(NamedTuple):
     """One limit at the end: value on the exact model, at half the step, worst drive and scenario.
 
-    price: d cost/d bound as the search has it (nan if unknown); 0 where the limit is idle.
+    price: by what the cost falls per unit of a looser bound, as the search has it (nan if
+    unknown); 0 where the limit is idle.
     """
 
     limit: Limit
@@ -38,12 +39,16 @@ class Verdict(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        return max(self.value, self.finer) <= self.limit.most
+        return self.excess <= 0.0
+
+    @property
+    def excess(self) -> float:
+        return max(self.limit.excess(self.value), self.limit.excess(self.finer))
 
     @property
     def share(self) -> float:
         """By what share of its bound it is exceeded."""
-        return (max(self.value, self.finer) - self.limit.most) / size(self.limit)
+        return self.excess / size(self.limit)
 
 
 class Result(NamedTuple):
@@ -170,8 +175,8 @@ def prices(session: Session) -> list[float]:
 def _verdict(
     limit: Limit, price: float, after: Scores, finer: Scores, drives: np.ndarray
 ) -> Verdict:
-    values = after.values[limit.metric].max(axis=2)
+    values = (limit.sign * after.values[limit.metric]).max(axis=2)
     place = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     row, scenario = np.unravel_index(place, values.shape)
-    there = after.over(limit.metric, limit.over), finer.over(limit.metric, limit.over)
+    there = after.limited(limit), finer.limited(limit)
     return Verdict(limit, *there, int(drives[row]), int(scenario), price)

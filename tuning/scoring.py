@@ -9,7 +9,7 @@ import numpy as np
 from jaxsim import batch
 from jaxsim._simulate import simulate
 from jaxsim.hybrid import Exact
-from jaxsim.objective import Objective, Over, reduce
+from jaxsim.objective import Limit, Objective, Over, reduce
 from tuning.problem import Problem
 
 
@@ -21,6 +21,11 @@ class Scores(NamedTuple):
 
     def over(self, metric: str, over: Over) -> float:
         return float(reduce(self.values[metric].reshape(-1), over))
+
+    def limited(self, limit: Limit) -> float:
+        """What a limit is about: the largest value, or the smallest where the bound is a least."""
+        values = limit.sign * self.values[limit.metric].reshape(-1)
+        return limit.sign * float(reduce(values, limit.over))
 
     def worst(self, metric: str) -> tuple[float, int, int]:
         """The value of largest size, with its sign, and its drive (by row) and scenario."""

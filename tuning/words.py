@@ -20,10 +20,13 @@ _SAME = 1e-6
 # The price of a limit is told for about this share of its bound.
 _TOLD = 0.05
 _UNITS = {
+    "per_s": "1/s",
     "rad_s2": "rad s²",
     "rad_s": "rad s",
     "Nm": "Nm",
     "pct": "%",
+    "deg": "deg",
+    "dB": "dB",
     "rad": "rad",
     "J": "J",
     "Hz": "Hz",
@@ -100,11 +103,12 @@ def _goal(session: Session, result: Result, goal: Goal) -> str:
 
 
 def _limit(session: Session, result: Result, v: Verdict) -> str:
-    name = f"{v.limit.metric} <= {v.limit.most:g}"
+    name = v.limit.words
     over = v.limit.over if isinstance(v.limit.over, str) else f"{100.0 * v.limit.over:g} % quantile"
     where = f"{v.value:.6g} ({over}, {session.problem.label(v.drive, v.scenario)})"
     if not v.holds:
-        return f"{name} does NOT hold: {where}, {100.0 * v.share:.2g} % too much."
+        by = f"{100.0 * v.share:.2g} % too {'little' if v.limit.least else 'much'}"
+        return f"{name} does NOT hold: {where}, {by}."
     if v.price > 0.0:
         return f"{name} holds and is active: {where}; {price(session, result, v)}."
     return f"{name} holds: {where}."
@@ -120,7 +124,8 @@ def price(session: Session, result: Result, v: Verdict) -> str:
     else:
         what = f"{saved:.3g} of the cost"
     share = f" ({100.0 * saved / cost:.2g} %)" if cost > 0.0 else ""
-    return f"{quantity(more, v.limit.metric)} more would buy {what}{share}, to first order"
+    loose = "less" if v.limit.least else "more"
+    return f"{quantity(more, v.limit.metric)} {loose} would buy {what}{share}, to first order"
 
 
 def _round(value: float) -> float:
