@@ -158,7 +158,9 @@ def _criteria(options: _Options, loop: ClosedLoop) -> dict[str, Any]:
     def again(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
         groups = choose(METRICS.all(), names)
         own = replace(options, store=None, groups=groups, names=names, criteria=())
-        return _run(own, loop.drive, loop.law, scenario)["metrics"]
+        found = _run(own, loop.drive, loop.law, scenario)
+        completed = found["status"] == Status.OK.value
+        return {k: jnp.where(completed, v, jnp.nan) for k, v in found["metrics"].items()}
 
     numbers: dict[str, Any] = {}
     subject = Subject(loop, again)
