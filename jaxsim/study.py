@@ -27,7 +27,7 @@ from jaxsim.validation import check
 SHIPPED = "jaxsim.studies"
 # `tune` and what other packages add are read by their owners; `law` may also be given elsewhere.
 _OWN = ("name", "about", "drive", "law", "scenario", "scenarios", "run", "objective")
-_GUESTS = ("tune",)
+_GUESTS = ("identify", "tune")
 
 
 class RunOptions(NamedTuple):

@@ -24,6 +24,9 @@ from tuning.identification.unknowns import Free, Unknowns, with_values
 _RATES = {"theta_L": "omega_L", "theta_M": "omega_M", "theta_B": "omega_B"}
 # A reading counts as taken at a tick when it is this close to one, as a share of dt.
 _ON_TICK = 1e-6
+# Runs in one portion: enough for two cores; what the rest of a portion costs is soon more than
+# what a larger one saves.
+_LANES = 128
 
 
 class Readings(eqx.Module):
@@ -39,12 +42,14 @@ class Evaluation(NamedTuple):
     """Residuals of a batch of fits, in standard deviations of the noise.
 
     residuals: (F, E, signals, samples), 0 where masked; jacobian: the same with a last axis of
-    len(free), by d value/d y (nan as the residuals are); status: (F, E) of the runs.
+    len(free), by scaled values; both nan from where a run failed. status: (F, E) of the runs.
+    contact: (F, E, 2) shares of a run in positive and negative contact (of the first axis).
     """
 
     residuals: np.ndarray
     jacobian: np.ndarray
     status: np.ndarray
+    contact: np.ndarray
 
 
 class Problem:
@@ -55,8 +60,8 @@ class Problem:
     without it all fits look at all. Rows of `who` may differ and repeat: bootstrap samples, or
     many independent logs, each with a fit of its own.
 
-    dt: integration step, s; the durations are rounded up to it. width: fits that go through one
-    program; more are cut, fewer are filled up, so that it is compiled once.
+    dt: integration step, s; the durations are rounded up to it. width: fits side by side. All
+    runs go through one program in portions of equal size: it is compiled once, whatever is asked.
 
     Raises: InputError where the experiments do not have the same components and signals.
     """
@@ -73,7 +78,8 @@ class Problem:
         if len(kinds) > 1:
             fix = "fit them apart"
             raise InputError("experiments", "must measure the same signals", sorted(kinds), fix)
-        self.experiments, self.dt, self.width = tuple(experiments), dt, width
+        self.experiments, self.dt = tuple(experiments), dt
+        self.lanes = min(width * len(self.experiments), _LANES)
         self.unknowns = Unknowns(tuple(free), tuple(e.name for e in experiments))
         self.models, self.axes = _stacked(_alike([model_of(e) for e in experiments], dt))
         self.readings = _readings(self.experiments)
@@ -92,6 +98,13 @@ class Problem:
         """`who` for fits that all look at all experiments."""
         return np.tile(np.arange(len(self.experiments)), (fits, 1))
 
+    def reweigh(self, factor: np.ndarray) -> None:
+        """Multiply the noise that is assumed of each signal by a factor (signals,)."""
+        noise = self.readings.noise * factor
+        self.readings = Readings(
+            self.readings.times, self.readings.values, noise, self.readings.used
+        )
+
     def evaluate(
         self, values: np.ndarray, scale: np.ndarray | None = None, *,
         who: np.ndarray | None = None, deadzone: Deadzone | None = None, horizon: float = 1.0,
@@ -103,41 +116,35 @@ class Problem:
         values = np.atleast_2d(np.asarray(values, float))
         scale = np.ones_like(values) if scale is None else np.broadcast_to(scale, values.shape)
         who = self.everyone(len(values)) if who is None else who
-        deadzone = Exact() if deadzone is None else deadzone
-        pieces = []
-        for at in range(0, len(values), self.width):
-            rows = np.minimum(np.arange(at, at + self.width), len(values) - 1)
-            kept = min(self.width, len(values) - at)
-            piece = self._evaluate(values[rows], scale[rows], who[rows], deadzone, horizon)
-            pieces.append([v[:kept] for v in piece])
-        return Evaluation(*(np.concatenate(v) for v in zip(*pieces, strict=True)))
-
-    def _evaluate(
-        self, values: np.ndarray, scale: np.ndarray, who: np.ndarray, deadzone: Deadzone,
-        horizon: float,
-    ) -> list[np.ndarray]:  # fmt: skip
+        how = _How(
+            self.unknowns.free, self.signals, self.dt, self.store,
+            Exact() if deadzone is None else deadzone,
+        )  # fmt: skip
         columns = self.unknowns.columns()[who]  # (F, E, len(free))
         fits = np.arange(len(values))[:, None, None]
-        flat = who.ravel()
-        count = len(self.unknowns.free)
-        readings = self.readings
-        if horizon < 1.0:
-            readings = _until(readings, horizon)
-        members = (
-            _picked(self.models, self.axes, flat),
-            Batch(jax.tree.map(lambda v: v[flat], readings), (True,) * 4, len(flat)),
-            Batch(values[fits, columns].reshape(-1, count), (True,), len(flat)),
-            Batch(scale[fits, columns].reshape(-1, count), (True,), len(flat)),
-        )
-        how = _How(self.unknowns.free, self.signals, self.dt, self.store, deadzone)
-        residuals, jacobian, status = batch.gathered(_members(how, *members))
-        shape = (*who.shape, *np.shape(residuals)[1:])
-        jacobian = np.moveaxis(np.asarray(jacobian), 1, -1)
-        return [
-            np.asarray(residuals).reshape(shape),
-            jacobian.reshape(*shape, count),
-            np.asarray(status).reshape(who.shape),
-        ]
+        own, sizes = (v[fits, columns].reshape(-1, columns.shape[-1]) for v in (values, scale))
+        parts = self._members(how, who.ravel(), own, sizes, horizon)
+        residuals, jacobian, status, contact = (v.reshape(*who.shape, *v.shape[1:]) for v in parts)
+        return Evaluation(residuals, np.moveaxis(jacobian, 2, -1), status, contact)
+
+    def _members(
+        self, how: _How, who: np.ndarray, values: np.ndarray, scale: np.ndarray, horizon: float
+    ) -> list[np.ndarray]:
+        """The parts of an evaluation, one row per run, in portions of `lanes` runs."""
+        readings = self.readings if horizon >= 1.0 else _until(self.readings, horizon)
+        pieces = []
+        for at in range(0, len(who), self.lanes):
+            rows = np.minimum(np.arange(at, at + self.lanes), len(who) - 1)
+            kept = min(self.lanes, len(who) - at)
+            members = (
+                _picked(self.models, self.axes, who[rows]),
+                Batch(jax.tree.map(lambda v: v[who[rows]], readings), (True,) * 4, self.lanes),  # noqa: B023
+                Batch(values[rows], (True,), self.lanes),
+                Batch(scale[rows], (True,), self.lanes),
+            )
+            piece = batch.gathered(_members(how, *members))
+            pieces.append([np.asarray(v)[:kept] for v in piece])
+        return [np.concatenate(v) for v in zip(*pieces, strict=True)]
 
 
 class _How(eqx.Module):
@@ -171,12 +178,20 @@ def _member(how: _How, model: Model, readings: Readings, values: Any, scale: Any
         found = (jnp.stack(rows) - readings.values) / readings.noise[:, None]
         # An invalid member (a broken rule) still runs; its numbers must not count.
         found = jnp.where(run.status == Status.INVALID.value, jnp.nan, found)
-        return jnp.where(readings.used, found, 0.0), run.status
+        return jnp.where(readings.used, found, 0.0), (run.status, _contact(run.signals))
 
     def push(direction: Any) -> Any:
-        return jax.jvp(residuals, (values,), (direction,), has_aux=True)
+        found, moved, (status, contact) = jax.jvp(residuals, (values,), (direction,), has_aux=True)
+        return found, moved, status, contact
 
-    return jax.vmap(push, out_axes=(None, 0, None))(jnp.eye(len(how.free)) * scale)
+    return jax.vmap(push, out_axes=(None, 0, None, None))(jnp.eye(len(how.free)) * scale)
+
+
+def _contact(signals: Any) -> Any:
+    """Shares of the stored instants in positive and in negative contact, of the first axis."""
+    sides = signals["contact"]
+    sides = sides if sides.ndim == 1 else sides[:, 0]
+    return jnp.stack([jnp.mean(sides > 0.0), jnp.mean(sides < 0.0)])
 
 
 def reading(signals: Any, name: str, sensor: Sensor, times: Any, h: float) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -61,8 +62,9 @@ class Covariance(NamedTuple):
 
 
 def covariance(
-    problem: Problem, seen: Evaluation, values: np.ndarray, loss: Loss, row: int = 0
-) -> Covariance:
+    problem: Problem, seen: Evaluation, values: np.ndarray, loss: Loss,
+    *, row: int = 0, who: np.ndarray | None = None,
+) -> Covariance:  # fmt: skip
     """The covariance at a fit's end.
 
     With A = sum of w J J^T: A^-1 (sum over signals of kappa A_signal) A^-1, where kappa is the mean
@@ -70,11 +72,13 @@ def covariance(
     unknown at least the sandwich A^-1 B A^-1, B summing products of scores w r J over lags
     (Newey and West, 1987, Econometrica 55, with Bartlett's weights).
 
-    seen: an evaluation with derivatives by SI values (scale 1). values: (P,).
+    seen: an evaluation with derivatives by SI values (scale 1), of which `row` is the fit. values:
+    (P,). who: (E,) the experiments that the fit looked at; all of them by default.
     """
-    r, used = seen.residuals[row], problem.readings.used
+    who = np.arange(len(problem.experiments)) if who is None else who
+    r, used = seen.residuals[row], problem.readings.used[who]
     scale = _sizes(problem, values)
-    J = _global(problem, seen.jacobian[row]) * scale
+    J = _global(problem, seen.jacobian[row], who) * scale
     weight = loss.weight(r)
     white = tuple(
         tuple(whiteness(r[e, s][used[e, s]]) for s in range(r.shape[1])) for e in range(r.shape[0])
@@ -107,9 +111,9 @@ def _sizes(problem: Problem, values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) > 1e-3 * spans, np.abs(values), spans)
 
 
-def _global(problem: Problem, jacobian: np.ndarray) -> np.ndarray:
+def _global(problem: Problem, jacobian: np.ndarray, who: np.ndarray) -> np.ndarray:
     """(E, signals, samples, P) from the derivatives by each experiment's own parameters."""
-    columns = problem.unknowns.columns()
+    columns = problem.unknowns.columns()[who]
     full = np.zeros((*jacobian.shape[:-1], len(problem.unknowns.of)))
     for e, at in enumerate(columns):
         full[e][..., at] = jacobian[e]
@@ -187,7 +191,7 @@ def intervals(
 class Profile(NamedTuple):
     """The loss along one unknown, all others fitted anew at every point.
 
-    values, loss: (n,); least: the loss at the best fit; rise: what the loss rises by at the ends
+    values, loss: (n,); least: the lowest loss; rise: what the loss rises by at the ends
     of the interval; interval: (low, high), nan on a side where the loss does not rise so far.
     """
 
@@ -200,8 +204,9 @@ class Profile(NamedTuple):
 
 
 def profile(
-    problem: Problem, best: np.ndarray, least: float, column: int, seen: Covariance, loss: Loss,
-    confidence: float, *, points: int = 11, tell: Callable[[Progress], None] | None = None,
+    problem: Problem, best: np.ndarray, column: int, seen: Covariance, loss: Loss,
+    confidence: float, *, who: np.ndarray, points: int = 11,
+    tell: Callable[[Progress], None] | None = None,
 ) -> Profile:  # fmt: skip
     """The profile likelihood of one unknown over three intervals' width.
 
@@ -217,7 +222,9 @@ def profile(
     starts[:, column] = grid
     frozen = np.zeros_like(starts, bool)
     frozen[:, column] = True
-    found = fit(problem, starts, stages=_LAST, loss=loss, frozen=frozen, tell=tell)
+    whose = np.tile(who, (len(grid), 1))
+    found = fit(problem, starts, who=whose, stages=_LAST, loss=loss, frozen=frozen, tell=tell)
+    least = float(found.loss.min())
     kappa = seen.matrix[column, column] / seen.naive[column, column]
     rise = 0.5 * quantile**2 * kappa
     interval = _crossings(grid, found.loss - least, rise)
@@ -230,7 +237,7 @@ def _crossings(grid: np.ndarray, loss: np.ndarray, rise: float) -> tuple[float, 
     bottom = int(np.argmin(loss))
 
     def cross(order: np.ndarray) -> float:
-        for a, b in zip(order[:-1], order[1:], strict=True):
+        for a, b in itertools.pairwise(order):
             if loss[a] < rise <= loss[b]:
                 # Straight in the root: the loss is nearly a parabola.
                 ra, rb, r = (np.sqrt(max(v, 0.0)) for v in (loss[a], loss[b], rise))
@@ -241,7 +248,7 @@ def _crossings(grid: np.ndarray, loss: np.ndarray, rise: float) -> tuple[float, 
 
 
 def bootstrap(
-    problem: Problem, best: np.ndarray, loss: Loss, samples: int, seed: int,
+    problem: Problem, best: np.ndarray, loss: Loss, who: np.ndarray, samples: int, seed: int,
     *, tell: Callable[[Progress], None] | None = None,
 ) -> np.ndarray:  # fmt: skip
     """(samples, P) fits to experiments drawn with replacement, from the best fit on.
@@ -249,8 +256,7 @@ def bootstrap(
     Parameters that each experiment has for itself follow their experiment. Fits that fail are left
     out.
     """
-    count = len(problem.experiments)
-    draws = np.random.default_rng(seed).integers(0, count, (samples, count))
+    draws = np.random.default_rng(seed).choice(who, (samples, len(who)))
     starts = np.tile(best, (samples, 1))
     found = fit(problem, starts, who=draws, stages=_LAST, loss=loss, tell=tell)
     return found.values[np.isfinite(found.loss)]
