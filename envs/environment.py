@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from envs.task import TASKS, Task
+from envs.task import TASKS, Episode, Task
 from jaxsim import engine
 from jaxsim.catalog import METRICS
 from jaxsim.errors import InputError
@@ -19,7 +19,7 @@ from jaxsim.loop import ClosedLoop, When, cast
 from jaxsim.metric import choose, task_of
 from jaxsim.observation import Horizon, Memory, Seen, act, first_memory, observe, remember
 from jaxsim.pruned import prune
-from jaxsim.sampled import Encoders, Sensors, TrueSpeeds
+from jaxsim.sampled import Differences, Encoders, Noisy, Sensors, TrueSpeeds
 from jaxsim.status import Status
 
 Scalar = Any
@@ -30,14 +30,23 @@ _EVENTS = 15
 
 
 class State(NamedTuple):
-    """One episode between two control periods. `key` is that of the NEXT episode."""
+    """One episode between two control periods.
+
+    sensors: of this episode; seen: their newest readings; told: those that the observation is made
+    of; late: whether those are of one period ago. age: episodes before this one since the seed;
+    key: that of the NEXT episode.
+    """
 
     loop: ClosedLoop
     carry: engine.Carry
+    sensors: Sensors
     seen: Measured
+    told: Measured
+    late: Scalar
     memory: Memory
     action: tuple[Scalar, ...]
     cost: Scalar
+    age: Scalar
     key: Any
 
 
@@ -66,8 +75,9 @@ class Environment(eqx.Module):
     rewards IS minus the cost of the metrics of the whole run (plus the action rate).
 
     task: a `Task`. dt: integration step, s; must divide the task's period. deadzone: `Exact()`
-    (default) or `Plain()`. sensors: what the readings are made of; `TrueSpeeds()` for exact ones.
-    dtype: of state and observation, float32 by default.
+    (default) or `Plain()`. sensors: `Encoders()` by default, with the noise and the delay that an
+    episode draws; `TrueSpeeds()` and `Differences()` are exact: without both. dtype: of state and
+    observation, float32 by default.
 
     Raises: InputError when dt does not divide the period.
     """
@@ -94,28 +104,42 @@ class Environment(eqx.Module):
         """Control periods in one episode."""
         return round(self.task.duration / self.task.period)
 
-    def reset(self, key: Any) -> tuple[State, Any]:
+    def reset(self, key: Any, age: Scalar = 0) -> tuple[State, Any]:
         """A fresh episode: its state and first observation.
 
-        key: of jax.random. The state carries on a new one, to be passed to the next reset.
+        key: of jax.random; age: episodes before this one. The state carries on a new key, to be
+        passed to the next reset together with `state.age + 1`.
         """
-        following, own = jax.random.split(key)
-        drive, scenario = self.task.draw(own)
-        law = as_joint_law(self.task.law(), drive.axes)
-        drive, law, scenario = (cast(t, self.dtype) for t in (drive, law, scenario))
+        following, own, noise = jax.random.split(key, 3)
+        age = jnp.asarray(age, jnp.int32)
+        episode = self.task.draw(own, age)
+        sensors, late = self._equipment(episode, noise)
+        law = as_joint_law(self.task.law(), episode.drive.axes)
+        drive, law, scenario = cast((episode.drive, law, episode.scenario), self.dtype)
         loop = ClosedLoop(drive, law, scenario, self.deadzone, self.dt)
         metrics = self._metrics(loop)
         carry = engine.start(loop, tuple(tuple(m.start() for m in own) for own in metrics))
         before = _measured(loop, carry, -1.0)
         # Read twice: the drive has been at rest, rounding is no speed.
-        rest = self._read(loop, before, before)
-        seen = self._read(loop, _measured(loop, carry), rest)
-        memory = remember(first_memory(rest), seen, self._horizon(loop))
+        rest = self._read(loop, sensors, before, before, 0)
+        seen = self._read(loop, sensors, _measured(loop, carry), rest, 1)
+        told = _told(late, rest, seen)
+        memory = remember(first_memory(rest), told, self._horizon(loop))
         zero = jnp.zeros((), self.dtype)
         numbers = _numbers(self.task, metrics, carry)
         action = (zero,) * len(self.task.actions)
-        state = State(loop, carry, seen, memory, action, self.task.cost(numbers), following)
+        cost = self.task.cost(numbers)
+        readings = sensors, seen, told, late
+        state = State(loop, carry, *readings, memory, action, cost, age, following)
         return state, self._observe(state)
+
+    def _equipment(self, episode: Episode, key: Any) -> tuple[Sensors, Scalar]:
+        """The sensors of an episode, and whether their readings come late."""
+        if isinstance(self.sensors, TrueSpeeds | Differences):
+            return self.sensors, jnp.zeros((), self.dtype)
+        angle, torque, late = cast(episode[2:], self.dtype)
+        seed = jax.random.randint(key, (), 0, 2**31 - 1)
+        return Noisy(self.sensors, angle, torque, seed), late
 
     def step(self, state: State, action: Any) -> Step:
         """Hold an action over one control period.
@@ -131,9 +155,13 @@ class Environment(eqx.Module):
         carry, _ = engine.advance(loop, state.carry, until, steps, metrics)
         numbers = _numbers(self.task, metrics, carry)
         cost = self.task.cost(numbers)
-        seen = self._read(loop, _measured(loop, carry), state.seen)
-        memory = remember(state.memory, seen, self._horizon(loop))
-        new = State(loop, carry, seen, memory, actions, cost, state.key)
+        number = carry.tick // self.ticks + 1
+        seen = self._read(loop, state.sensors, _measured(loop, carry), state.seen, number)
+        told = _told(state.late, state.seen, seen)
+        memory = remember(state.memory, told, self._horizon(loop))
+        new = state._replace(
+            loop=loop, carry=carry, seen=seen, told=told, memory=memory, action=actions, cost=cost
+        )
         failed = carry.status != Status.OK.value
         over = ~failed & (carry.tick >= self.ticks * self.steps)
         reward = self._reward(state, new, failed)
@@ -151,8 +179,10 @@ class Environment(eqx.Module):
         whole = (group(task_of(loop, 0, group.reference_unit)) for group in groups)
         return (tuple(prune(metric, names) for metric in whole),)
 
-    def _read(self, loop: ClosedLoop, y: Measured, last: Measured) -> Measured:
-        return self.sensors.read(y, last, loop.ratios[0], self.task.period)
+    def _read(
+        self, loop: ClosedLoop, sensors: Sensors, y: Measured, last: Measured, number: Scalar
+    ) -> Measured:
+        return sensors.read(y, last, loop.ratios[0], self.task.period, number)
 
     def _horizon(self, loop: ClosedLoop) -> Horizon:
         unit = loop.law.reference_unit or "rad"
@@ -160,10 +190,16 @@ class Environment(eqx.Module):
 
     def _observe(self, state: State) -> Any:
         x = state.carry.x
-        seen = Seen(state.seen, x.drive[0].motor, x.law, state.action, state.memory)
+        seen = Seen(state.told, x.drive[0].motor, x.law, state.action, state.memory)
         scaled = observe(self.task.channels, seen, self._horizon(state.loop))
         # A failed run is not finite; its observation must stay in the box all the same.
         return jnp.nan_to_num(scaled.astype(jnp.float32))
+
+
+def _told(late: Scalar, before: Measured, now: Measured) -> Measured:
+    """The readings that an observation is made of; the reference needs no sensor."""
+    chosen = jax.tree.map(lambda a, b: jnp.where(late > 0.0, a, b), before, now)
+    return chosen._replace(reference=now.reference)
 
 
 def _measured(loop: ClosedLoop, carry: engine.Carry, after: float = 1e-6) -> Measured:
@@ -188,8 +224,8 @@ def build(
 ) -> Environment:
     """The environment that the doors of Gymnasium and stable-baselines3 open, in float32.
 
-    task: its name, or "module:Class". plain: events are not located. true_speeds: exact readings
-    in place of encoders. options: fields of the task.
+    task: its name, or "module:Class". plain: events are not located. true_speeds: exact readings,
+    without noise and delay, in place of encoders. options: fields of the task.
 
     Raises: InputError for an unknown task or option.
     """

@@ -9,14 +9,16 @@ environment and compose with jit, vmap, scan and grad:
     step = env.step(state, action)                          # action: (actions,) in [-1, 1]
     step.state, step.observation, step.reward, step.truncated, step.info.numbers
 
-- Everything random in an episode comes from the key; the key of the next one is `state.key`.
+- Everything random in an episode comes from the key; the next one of a chain is
+  `env.reset(state.key, state.age + 1)`: its gap has worn a little.
 - `env.steps` steps make an episode; nothing resets by itself, that is `Runner`'s doing.
 - The reward is differentiable with respect to actions and state. Of the modes, `Smoothed()` is
   for gradients over whole episodes, `Exact()` gives right values and event times; gradients in
-  `Plain()` are wrong. Encoders round, so that gradients through them are zero: `TrueSpeeds()`.
+  `Plain()` are wrong. Encoders round, so that gradients through them are zero: `TrueSpeeds()` or
+  `Differences()`, which know neither noise nor delay.
 - `env.task.channels` and `env.task.actions` give names, units, full scales and bounds.
-- `env.task.act(law, action)` is what an action does to the law; `state.loop` and `state.carry` are
-  the engine's, for those who need the drive of the episode or its state.
+- `jaxsim.observation.act(env.task.actions, law, action)` is what an action does to the law;
+  `state.loop` and `state.carry` are the engine's, for those who need the drive or its state.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ class Runner:
         if size < 1:
             raise InputError("num_envs", "must be >= 1", size, "give a count")
         self.env, self.size = env, size
-        self._reset, self._step, self._look = _compiled(env, restarts)
+        self._reset, self._again, self._step, self._look = _compiled(env, restarts)
         self._state: Any = None
         self._over = np.zeros(size, bool)
         self._restarts = restarts
@@ -73,8 +75,8 @@ class Runner:
 
     def reset(self, seeds: Sequence[int] | None = None) -> np.ndarray:
         """Fresh episodes: the first ones of these seeds, or the next of the present chains."""
-        keys = self._state[0] if seeds is None else _keys(seeds)
-        self._state, observation = self._reset(keys)
+        fresh = self._again(self._state) if seeds is None else self._reset(_keys(seeds))
+        self._state, observation = fresh
         self._over[:] = False
         return np.array(observation)
 
@@ -140,8 +142,10 @@ def _keys(seeds: Sequence[int]) -> Any:
 
 
 @functools.cache
-def _compiled(env: Environment, restarts: bool) -> tuple[Any, Any, Any]:
-    """reset(keys), step(state, actions) and state as a tree, shared by all runners of one kind.
+def _compiled(env: Environment, restarts: bool) -> tuple[Any, Any, Any, Any]:
+    """reset(keys), again(state), step(state, actions), look(state) of all runners of one kind.
+
+    again: the next episodes of the chains; look: the state as a tree.
 
     Between calls a state is (words of the keys, one array per dtype with members in its LAST
     axis): to hand over 45 small arrays costs 60 us, more than a step of one environment takes.
@@ -165,13 +169,22 @@ def _compiled(env: Environment, restarts: bool) -> tuple[Any, Any, Any]:
         state, observation = jax.vmap(env.reset)(keys)
         return packed(state), observation
 
+    def again(state: Any) -> Any:
+        following, observation = _next(env, unpacked(state))
+        return packed(following), observation
+
     def step(state: Any, actions: Any) -> Any:
         old = unpacked(state)
         done = jax.vmap(env.step)(old, actions)
         after, observation = _restarted(env, done) if restarts else (done.state, done.observation)
         return packed(after), _columns(env, done, observation)
 
-    return jax.jit(reset), jax.jit(step), unpacked
+    return jax.jit(reset), jax.jit(again), jax.jit(step), unpacked
+
+
+def _next(env: Environment, state: Any) -> tuple[Any, Any]:
+    """The next episodes of the chains of all members."""
+    return jax.vmap(env.reset)(state.key, state.age + 1)
 
 
 def _columns(env: Environment, done: Step, observation: Any) -> Any:
@@ -211,7 +224,7 @@ def _restarted(env: Environment, done: Step) -> tuple[Any, Any]:
         return jax.tree.map(lambda a, b: jnp.where(over, a, b), new, old)
 
     def fresh(state: Any, observation: Any) -> tuple[Any, Any]:
-        new = jax.vmap(env.reset)(state.key)
+        new = _next(env, state)
         return jax.vmap(one)(over, new, (state, observation))
 
     # Most steps end no episode, and drawing drives for all would cost as much as the step.

@@ -31,6 +31,31 @@ class Range(NamedTuple):
         return jax.random.uniform(key, (), jnp.float32, self.low, self.high)
 
 
+class Episode(NamedTuple):
+    """What is drawn for one episode.
+
+    angle_noise, rad, torque_noise, Nm: standard deviations of the readings; late: > 0
+    where an observation is made of the readings of one control period ago.
+    """
+
+    drive: Drive
+    scenario: Scenario
+    angle_noise: Scalar
+    torque_noise: Scalar
+    late: Scalar
+
+
+def drawn(conditions: Any, key: Any) -> Any:
+    """Conditions, a NamedTuple of `Range`s, with a number drawn from each."""
+    keys = jax.random.split(key, len(conditions))
+    return type(conditions)(*(r.draw(k) for r, k in zip(conditions, keys, strict=True)))
+
+
+def either_way(sign: Scalar, size: Scalar) -> Scalar:
+    """`size` up or down, as the sign of the first number says."""
+    return jnp.where(sign < 0.0, -size, size)
+
+
 class Task(eqx.Module):
     """One task of one axis; a concrete subclass in `envs/tasks/` is all that a new one needs.
 
@@ -51,8 +76,11 @@ class Task(eqx.Module):
     channels: ClassVar[tuple[Channel, ...]]
 
     @abc.abstractmethod
-    def draw(self, key: Any) -> tuple[Drive, Scenario]:
-        """The drive and scenario of one episode; everything random in it comes from the key."""
+    def draw(self, key: Any, age: Scalar) -> Episode:
+        """One episode; everything random in it comes from the key.
+
+        age: how many episodes the drive has behind it; what wears drifts with it.
+        """
 
     @abc.abstractmethod
     def law(self) -> Control:
@@ -64,4 +92,4 @@ class Task(eqx.Module):
         return sum(parts[1:], parts[0]) / len(parts)
 
 
-__all__ = ["TASKS", "Range", "Task"]
+__all__ = ["TASKS", "Episode", "Range", "Task", "drawn", "either_way"]

@@ -91,7 +91,7 @@ class Exact(Deadzone):
 class Plain(Deadzone):
     """No location: signs are read at every stage. For comparison and sampled real-time use.
 
-    Values converge erratically, O(dt); gradients are WRONG at every dt (docs/concepts/gradients.md).
+    Values converge erratically, O(dt); gradients are WRONG at every dt: docs/concepts/gradients.md.
     """
 
     @property

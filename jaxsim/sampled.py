@@ -12,24 +12,32 @@ import jax.numpy as jnp
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Plain, Switch, switch_all
 from jaxsim.law import Control, Decentral, Law, Measured, Scalar
+from jaxsim.parameters import NON_NEGATIVE, Parameters, parameter
 
 # Commands under way are kept one by one in the state: a delay of thousands of periods, which was
 # meant in another unit, would compile for minutes.
 _LONGEST = 32
 
 
-class Sensors(eqx.Module):
+class Sensors(Parameters):
     """What the sampled law gets to see of the measurements."""
 
     @abc.abstractmethod
-    def read(self, y: Measured, last: Measured, ratio: Scalar, period: float) -> Measured:
-        """The readings now, given the true values and the readings one period ago."""
+    def read(
+        self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
+    ) -> Measured:
+        """The readings now, given the true values and the readings one period ago.
+
+        number: of the reading, counted from 0 before the start; each axis has numbers of its own.
+        """
 
 
 class TrueSpeeds(Sensors):
     """Everything as it is."""
 
-    def read(self, y: Measured, last: Measured, ratio: Scalar, period: float) -> Measured:
+    def read(
+        self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
+    ) -> Measured:
         return y
 
 
@@ -39,7 +47,9 @@ class Differences(Sensors):
     What encoders of infinitely many counts read: with derivatives, for training through a run.
     """
 
-    def read(self, y: Measured, last: Measured, ratio: Scalar, period: float) -> Measured:
+    def read(
+        self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
+    ) -> Measured:
         omega_L = (y.theta_L - last.theta_L) / period
         omega_M = (y.theta_M - last.theta_M) / period
         return y._replace(
@@ -64,11 +74,48 @@ class Encoders(Sensors):
         if self.counts < 1:
             raise InputError("Encoders.counts", "must be >= 1", self.counts, "e.g. 2**20")
 
-    def read(self, y: Measured, last: Measured, ratio: Scalar, period: float) -> Measured:
+    def read(
+        self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
+    ) -> Measured:
         step = 2.0 * jnp.pi / self.counts
         theta_L, theta_M = (step * jnp.round(angle / step) for angle in (y.theta_L, y.theta_M))
         rounded = y._replace(theta_L=theta_L, theta_M=theta_M)
-        return Differences().read(rounded, last, ratio, period)
+        return Differences().read(rounded, last, ratio, period, number)
+
+
+class Noisy(Sensors):
+    """`sensors` behind random noise: theta + angle_noise n and T_s + torque_noise n.
+
+    n ~ N(0, 1), independent for both angles and the torque, and new in every reading. It depends
+    on the seed and the number of the reading alone: runs repeat, and members of a batch that are
+    to differ have seeds of their own, `spread(law, seed=range(100))`. Speeds that are differences
+    of angles have their noise; speeds that are measured themselves stay exact.
+    """
+
+    sensors: Sensors
+    angle_noise: Scalar = parameter(
+        "rad", "standard deviation of both angles", rule=NON_NEGATIVE, default=0.0
+    )
+    torque_noise: Scalar = parameter(
+        "Nm", "standard deviation of T_s", rule=NON_NEGATIVE, default=0.0
+    )
+    seed: Scalar = parameter("1", "whole number", rule=NON_NEGATIVE, default=0.0)
+
+    def read(
+        self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
+    ) -> Measured:
+        seed = jnp.asarray(self.seed).astype(jnp.uint32)
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        # In float32 always: the same noise in every precision.
+        n = jax.random.normal(key, (3,), jnp.float32).astype(y.theta_L.dtype)
+        off_L, off_M = self.angle_noise * n[0], self.angle_noise * n[1]
+        noisy = y._replace(
+            theta_L=y.theta_L + off_L,
+            theta_M=y.theta_M + off_M,
+            theta_B=y.theta_B + off_M / ratio - off_L,
+            T_s=y.T_s + self.torque_noise * n[2],
+        )
+        return self.sensors.read(noisy, last, ratio, period, number)
 
 
 class Held(NamedTuple):
@@ -151,15 +198,16 @@ class Sampled(eqx.Module):
     ) -> Held:
         """What changes at an integration tick: a new sample, a command that becomes due."""
         period, delay = self.ticks(dt)
-        sampled = self._sample(ys, held, ratios)
+        sampled = self._sample(ys, held, ratios, tick // period)
         held = _choose(tick % period == 0, sampled, held)
         due = tick % period == delay % period
         return held._replace(command=_choose(due, held.waiting[-1], held.command))
 
-    def _sample(self, ys: tuple[Measured, ...], held: Held, ratios: tuple) -> Held:
+    def _sample(self, ys: tuple[Measured, ...], held: Held, ratios: tuple, sample: Scalar) -> Held:
+        first = (sample + 1) * self.axes
         seen = tuple(
-            self.sensors.read(y, last, ratio, self.period)
-            for y, last, ratio in zip(ys, held.seen, ratios, strict=True)
+            self.sensors.read(y, last, ratio, self.period, first + axis)
+            for axis, (y, last, ratio) in enumerate(zip(ys, held.seen, ratios, strict=True))
         )
         state = self._tustin(held.law, held.seen, seen)
         state = self.law.on_sample(state, seen, self.period)

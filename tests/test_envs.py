@@ -15,6 +15,7 @@ from scipy.linalg import expm
 
 from envs.environment import Environment, State
 from envs.task import TASKS
+from jaxsim import tree
 from jaxsim._simulate import simulate
 from jaxsim.catalog import snake_case
 from jaxsim.errors import InputError
@@ -144,14 +145,20 @@ def test_every_draw_comes_from_the_seed_and_within_its_range() -> None:
     again, _ = jax.jit(jax.vmap(env.reset))(keys)
     drive, scenario = states.loop.drive, states.loop.scenario
     half_gap = np.asarray(drive.transmission[0].half_gap)
+    reference, loads = scenario.reference[0].size, scenario.load_torque[0].parts
     drawn = {
         "half_gap": (half_gap / 7.80e-3, 0.6, 1.3),
         "K": (drive.transmission[0].K / 300.0, 0.8, 1.2),
         "J_L": (drive.load.J_L / 8.78e-4, 0.7, 1.3),
-        "reference": (scenario.reference[0].size, 0.15, 0.45),
+        "reference": (abs(reference), 0.15, 0.45),
         "start": (scenario.start[0].theta_B / half_gap, -0.9, 0.9),
-        "load_torque": (scenario.load_torque[0].size, -0.2, 0.2),
-        "load_at": (scenario.load_torque[0].at, 0.1, 0.25),
+        "load_1": (loads[0].size, -0.2, 0.2),
+        "at_1": (loads[0].at, 0.05, 0.15),
+        "load_2": (loads[1].size, -0.2, 0.2),
+        "at_2": (loads[1].at, 0.15, 0.25),
+        "angle_noise": (1e5 * states.sensors.angle_noise, 0.0, 1.0),
+        "torque_noise": (states.sensors.torque_noise, 0.0, 0.02),
+        "late": (states.late, -1.0, 1.0),
     }
     for name, (values, low, high) in drawn.items():
         values = np.asarray(values)
@@ -161,16 +168,48 @@ def test_every_draw_comes_from_the_seed_and_within_its_range() -> None:
         assert len(np.unique(values)) > 190, name
     for a, b in zip(jax.tree.leaves(states), jax.tree.leaves(again), strict=True):
         assert (a == b).all()
+    assert len(np.unique(states.sensors.seed)) == 200
+    assert 80 < int((reference < 0.0).sum()) < 120
     following = jax.random.key_data(states.key)
     assert not (following == jax.random.key_data(keys)).all(axis=1).any()
 
 
 def test_readings_are_rounded_to_counts() -> None:
-    _, steps = _episode("backlash_position", 0, 0.3)
-    _, true = _episode("backlash_position", 0, 0.3, sensors=TrueSpeeds())
+    _, steps = _episode("backlash_position", 0, 0.3, nominal=True)
+    _, true = _episode("backlash_position", 0, 0.3, nominal=True, sensors=TrueSpeeds())
     step = 2 * np.pi / 2**20
     got, exact = (np.asarray(s.observation, float)[:, 1] * 10.0 for s in (steps, true))
     assert 0.0 < np.abs(got - exact).max() <= 0.5 * step + 4e-7  # observations are float32
+
+
+def test_readings_have_the_noise_that_was_drawn_and_come_late_where_it_was_drawn() -> None:
+    env, reset, run = _compiled("backlash_position")
+    state, _ = reset(jax.random.key(0))
+    count, actions = 2 * np.pi / 2**20, jnp.full((env.steps, 1), 0.3)
+
+    def errors(angle_noise: float, late: float) -> np.ndarray:
+        sensors = tree.replace(state.sensors, {"angle_noise": jnp.asarray(angle_noise)})
+        own = state._replace(sensors=sensors, late=jnp.asarray(late))
+        return np.asarray(run(own, actions)[1].observation, float)[:, 1] * 10.0
+
+    exact = errors(0.0, -1.0)
+    noise = errors(1e-3, -1.0) - exact
+    assert noise.std() == pytest.approx(1e-3, rel=0.1)  # of 300: 4 % is one standard deviation
+    assert abs(noise.mean()) < 2e-4
+    assert np.array_equal(errors(1e-3, -1.0) - exact, noise)
+    # The reference steps at sample 10 and needs no sensor: only what is behind is compared.
+    late = errors(0.0, 1.0)[20:] - exact[19:-1]
+    assert np.abs(late).max() < count
+
+
+def test_the_gap_wears_with_the_episodes_behind_a_drive() -> None:
+    env = Environment(TASKS.find("backlash_position")())
+    reset = jax.jit(env.reset)
+    gaps = [
+        float(reset(jax.random.key(0), age)[0].loop.drive.transmission[0].half_gap)
+        for age in (0, 1000, 2000, 10_000)
+    ]
+    assert np.array(gaps) / gaps[0] == pytest.approx([1.0, 1.1, 1.2, 1.2], rel=1e-6)
 
 
 def test_float32_and_plain_mode_agree_with_exact_float64() -> None:

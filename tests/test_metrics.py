@@ -93,6 +93,10 @@ def test_a_step_down_is_judged_as_one_up() -> None:
     assert down["braking_peak_Nm"] == pytest.approx(-up["braking_peak_Nm"], rel=1e-12)
     assert down["theta_min_rad"] == pytest.approx(-up["theta_max_rad"], rel=1e-12)
     assert down["T_s_min_Nm"] == pytest.approx(-up["T_s_max_Nm"], rel=1e-12)
+    assert up["driving_torque_max_Nm"] == up["T_s_max_Nm"] > 0.0
+    assert up["braking_torque_max_Nm"] == -up["T_s_min_Nm"] > 0.0
+    for name in ("driving_torque_max_Nm", "braking_torque_max_Nm"):
+        assert down[name] == pytest.approx(up[name], rel=1e-12)
 
 
 def test_a_run_at_rest_has_no_numbers_that_are_not_documented() -> None:
@@ -101,7 +105,8 @@ def test_a_run_at_rest_has_no_numbers_that_are_not_documented() -> None:
         "theta_max_rad", "theta_min_rad", "final_error_rad", "iae_rad_s", "itae_rad_s2",
         "error_rms_rad", "impact_loss_J", "largest_torque_Nm", "T_s_max_Nm", "T_s_min_Nm",
         "command_max", "command_min", "command_peak", "command_rms", "command_variation",
-        "limit_cycle_rad", "limit_cycle_Nm", "limit_cycle_Hz",
+        "limit_cycle_rad", "limit_cycle_Nm", "limit_cycle_Hz", "driving_torque_max_Nm",
+        "braking_torque_max_Nm",
     }  # fmt: skip
     assert {name for name, value in rest.items() if value == 0.0} >= zero
     assert rest["limit_cycle_growth"] == 1.0

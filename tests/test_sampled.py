@@ -14,7 +14,9 @@ from jaxsim._simulate import simulate
 from jaxsim.errors import InputError
 from jaxsim.laws.pd import PD
 from jaxsim.run import Run
-from jaxsim.sampled import Encoders, Sampled
+from jaxsim.sampled import Encoders, Noisy, Sampled, TrueSpeeds
+from jaxsim.scenario import Scenario
+from jaxsim.signals.constant import Constant
 
 PERIOD, DT = 4e-4, 2e-4
 EVERY = round(PERIOD / DT)
@@ -85,6 +87,23 @@ def test_encoders_round_angles_and_the_command_comes_a_period_late(member: int) 
     late = _samples(run, "command", member)
     assert late[0] == 0.0
     assert late[1:] == pytest.approx(expected[:-1], abs=1e-10)
+
+
+def test_noise_repeats_for_a_seed_and_has_its_size() -> None:
+    """A law that only measures: its command is K_P times the noise of the angle it reads."""
+    noisy = Noisy(TrueSpeeds(), angle_noise=2e-3, seed=1)
+    law = Sampled(PD(1.0, 0.0, 0.01), PERIOD, sensors=noisy)
+    laws = batch.spread(law, seed=[1.0, 1.0, 2.0])
+    still = Scenario(Constant(0.0), duration=0.4)
+    run = simulate(bench.drive(), laws, still, dt=DT, metrics=())
+    command = np.asarray(run.signals["command"])[:, ::EVERY]
+    first, again, other = -command - np.asarray(run.signals["theta_L"])[:, ::EVERY]
+    assert np.array_equal(first, again)
+    for noise in (first, other):
+        assert noise.std() == pytest.approx(2e-3, rel=0.1)  # of 1000: 2.2 % is one deviation
+        assert abs(noise.mean()) < 3e-4
+        assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.1
+    assert abs(np.corrcoef(first, other)[0, 1]) < 0.1
 
 
 def test_the_step_at_2_5_khz_hits_44_57_percent_less() -> None:

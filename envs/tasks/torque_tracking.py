@@ -11,7 +11,9 @@ from jaxsim.observation import Action, Channel
 
 
 class TorqueTracking(Torque):
-    """Make the joint torque of the 2014 leg follow a step of 1 to 4 Nm.
+    """Make the joint torque of the 2014 leg follow a step of 1 to 4 Nm either way.
+
+    Episodes differ in leg, step, load, noise and delay: `envs.tasks._torque.Conditions`.
 
     Action (1,), held for 1 ms, in [-1, 1]:
 
@@ -22,7 +24,7 @@ class TorqueTracking(Torque):
     Observation (10,): value over full scale; beyond it the sensor saturates. Angles are read by
     encoders of 2^20 counts; speeds are their mean over the last period; torque and current have
     sensors. The remaining time, rms error and overshoot so far are what the cost to come depends
-    on.
+    on. Readings have noise, and in half of the episodes come one period late.
 
     | index | name | unit | full scale | low | high |
     |---|---|---|---|---|---|

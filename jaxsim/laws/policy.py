@@ -166,7 +166,7 @@ class Policy(Supervised):
     def start(self, ys: tuple[Measured, ...], dt: float) -> Held:
         (y,) = ys
         # Of these readings only angles and reference are looked at again, and no ratio is in them.
-        seen = self.sensors.read(y, y, 1.0, self.period)
+        seen = self.sensors.read(y, y, 1.0, self.period, 0)
         return Held((jnp.zeros_like(y.theta_L),) * len(self.actions), seen, first_memory(seen))
 
     def on_tick(
@@ -174,7 +174,8 @@ class Policy(Supervised):
         states: tuple[Any, Any],
     ) -> Held:  # fmt: skip
         law, motors = states
-        seen = self.sensors.read(ys[0], held.seen, ratios[0], self.period)
+        number = tick // self.ticks(dt) + 1
+        seen = self.sensors.read(ys[0], held.seen, ratios[0], self.period, number)
         memory = remember(held.memory, seen, self.horizon)
         told = observe(self.channels, Seen(seen, motors[0], law, held.action, memory), self.horizon)
         chosen = self.network(told)
