@@ -19,7 +19,7 @@ from jaxsim.loop import ClosedLoop, When, cast
 from jaxsim.metric import choose, task_of
 from jaxsim.observation import Horizon, Memory, Seen, act, first_memory, observe, remember
 from jaxsim.pruned import prune
-from jaxsim.sampled import Differences, Encoders, Noisy, Sensors, TrueSpeeds
+from jaxsim.sampled import Encoders, Noisy, Sensors, TrueSpeeds
 from jaxsim.status import Status
 
 Scalar = Any
@@ -76,8 +76,8 @@ class Environment(eqx.Module):
 
     task: a `Task`. dt: integration step, s; must divide the task's period. deadzone: `Exact()`
     (default) or `Plain()`. sensors: `Encoders()` by default, with the noise and the delay that an
-    episode draws; `TrueSpeeds()` and `Differences()` are exact: without both. dtype: of state and
-    observation, float32 by default.
+    episode draws; `Differences()` the same without rounding, for gradients; `TrueSpeeds()` for
+    exact readings, without noise and delay. dtype: of state and observation, float32 by default.
 
     Raises: InputError when dt does not divide the period.
     """
@@ -135,7 +135,7 @@ class Environment(eqx.Module):
 
     def _equipment(self, episode: Episode, key: Any) -> tuple[Sensors, Scalar]:
         """The sensors of an episode, and whether their readings come late."""
-        if isinstance(self.sensors, TrueSpeeds | Differences):
+        if isinstance(self.sensors, TrueSpeeds):
             return self.sensors, jnp.zeros((), self.dtype)
         angle, torque, late = cast(episode[2:], self.dtype)
         seed = jax.random.randint(key, (), 0, 2**31 - 1)
