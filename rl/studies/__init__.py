@@ -1,0 +1,1 @@
+"""Comparisons that come with the project: who is trained how, on which episodes."""
