@@ -222,13 +222,13 @@ def _balanced(A: Any, cut: Cut) -> tuple[Any, Cut]:
     size = jnp.abs(jax.lax.stop_gradient(A)) * (1.0 - jnp.eye(len(A)))
 
     def better(_: Any, scale: Any) -> Any:
-        now = size * scale / scale[:, None]
+        now = size * scale[None, :] / scale[:, None]
         least = jnp.finfo(A.dtype).tiny
         ratio = (now.sum(axis=1) + least) / (now.sum(axis=0) + least)
         return scale * jnp.clip(ratio, 1e-4, 1e4) ** 0.25
 
     scale = jax.lax.fori_loop(0, 40, better, jnp.ones(len(A)))
-    return A * scale / scale[:, None], (cut[0] / scale[:, None], cut[1] * scale)
+    return A * scale[None, :] / scale[:, None], (cut[0] / scale[:, None], cut[1] * scale[None, :])
 
 
 def _frequencies(closed: Any, opened: Any) -> Any:
@@ -239,7 +239,7 @@ def _frequencies(closed: Any, opened: Any) -> Any:
     size = jnp.abs(poles)
     slowest = jnp.maximum(size[: len(closed)].min(), 1e-9 * size.max())
     width = -jnp.real(poles) / jnp.maximum(size, slowest)
-    near = size[:, None] * jnp.abs(1.0 + width[:, None] * jnp.array(_ACROSS))
+    near = size[:, None] * jnp.abs(1.0 + width[:, None] * jnp.array([_ACROSS]))
     evenly = jnp.geomspace(0.1 * slowest, 30.0 * size.max(), _PER_MODE)
     # The first one stands for omega = 0, where a real pole may cross.
     every = jnp.concatenate([1e-4 * slowest[None], evenly, near.ravel()])
