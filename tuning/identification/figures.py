@@ -57,7 +57,8 @@ def _fit(outcome: Outcome, e: int, out: Path) -> tuple[str, Path]:
             below.set_ylabel(f"model - reading\n[{UNITS[signal.partition('[')[0]]}]", fontsize=8)
         use = "fitted" if e in outcome.train else "held out"
         axes[0, 0].set_title(f"{recorded.experiment.name} ({use})")
-        axes[0, 0].legend(ncols=3)
+        axes[0, 0].legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+        axes[0, 0].figure.align_ylabels()
         axes[-1, 0].set_xlabel("time [s]")
     return (
         f"Log {recorded.experiment.name} ({use}): readings, the model, and their difference.",
@@ -67,8 +68,8 @@ def _fit(outcome: Outcome, e: int, out: Path) -> tuple[str, Path]:
 
 def _pair(outcome: Outcome, e: int, s: int, top: Any, below: Any) -> None:
     t, value, model, used = readings(outcome, e, s)
-    top.plot(t, value, ".", markersize=2.5, color=COLOURS["before"], label="reading")
     top.plot(t, model, color=COLOURS["after"], linewidth=1.1, label="model")
+    top.plot(t, value, ".", markersize=2.2, color="0.1", label="reading")
     raw = outcome.problem.experiments[e].measurements[s].values
     if not used.all():
         low, high = np.nanmin(value), np.nanmax(value)
@@ -172,5 +173,6 @@ def _alone(outcome: Outcome, out: Path) -> tuple[str, Path]:
             ax.axhspan(*outcome.interval[where], color="0.85", zorder=0)
             ax.set_title(f"{a.name} [{outcome.unit(where)}]", fontsize=9)
             ax.set_xticks(at)
+            ax.set_xlim(-0.5, len(at) - 0.5)
             ax.set_xlabel("log")
     return "Each log fitted alone (points, 95 %), and all together (line and band).", path

@@ -15,8 +15,10 @@ _SPIKE = 12.0
 _WINDOW = 3  # neighbours on either side
 _GAP = 1.75  # a time step this many times the median is a gap
 _JITTER = 0.02  # shown from this share of the step on
-# Steps between quantised values are whole multiples of the smallest one, to this share of it.
+# Changes of quantised values are whole multiples of a step, to this share of it; the step is the
+# common divisor of so many of the smallest ones.
 _WHOLE = 0.05
+_FEW = 12
 _TIME_NAMES = ("t", "time", "timestamp", "stamp", "zeit", "seconds")
 
 
@@ -110,17 +112,33 @@ def facts(name: str, values: np.ndarray) -> Facts:
 def quantum(values: np.ndarray) -> float:
     """The step of the quantisation: all changes are whole multiples of it; 0 where none is seen."""
     changes = np.abs(np.diff(values))
-    changes = changes[changes > 1e-9 * max(float(np.abs(values).max()), 1e-300)]
-    if changes.size < 20:
-        return 0.0
-    step = float(np.quantile(changes, 0.001))
-    for _ in range(3):  # the smallest change is known to rounding; many steps give it better
-        whole = np.round(changes / step)
-        near = (whole > 0) & (np.abs(changes / step - whole) < _WHOLE)
-        if near.mean() < 0.98 or np.median(whole) > 1e3:
-            return 0.0
-        step = float(changes[near].sum() / whole[near].sum())
-    return step
+    largest = float(np.abs(values).max())
+    # Rounding of float64 (or of many printed digits), then of float32, whose numbers all lie on a
+    # grid of their own.
+    whole = np.array_equal(values, np.round(values))
+    single = np.array_equal(values, values.astype(np.float32)) and not whole
+    for rounding in (2e-7 * largest,) if single else (1e-11 * largest, 2e-7 * largest):
+        moved = np.unique(changes[changes > 10.0 * rounding])
+        if moved.size < _FEW:
+            continue
+        step = _common_divisor(moved[:_FEW], rounding)
+        whole = np.round(moved / step)
+        near = np.abs(moved / step - whole) < _WHOLE
+        if step > 50.0 * rounding and near.mean() > 0.98:
+            return float(moved[near].sum() / whole[near].sum())
+    return 0.0
+
+
+def _common_divisor(lengths: np.ndarray, rounding: float) -> float:
+    """Euclid's algorithm on numbers that are known to `rounding`."""
+    divisor = float(lengths[0])
+    for length in lengths[1:]:
+        a, b = float(length), divisor
+        while b > 10.0 * rounding:
+            rest = a % b
+            a, b = b, min(rest, b - rest)
+        divisor = a
+    return divisor
 
 
 def noise(values: np.ndarray) -> float:
@@ -144,6 +162,27 @@ def spikes(values: np.ndarray) -> np.ndarray:
     changes = np.abs(np.diff(filled))
     step = np.median(changes[changes > 0.0]) if np.any(changes > 0.0) else 0.0
     return finite & (away > _SPIKE * max(usual, step)) & (away > 3.0 * quantum(filled[finite]))
+
+
+def tables(log: Log, time: str | None) -> list[tuple[str, tuple[str, ...], list[tuple]]]:
+    """(caption, head, rows): the sampling and the columns of a log."""
+    found = []
+    if time is not None:
+        c = clock(time, log.columns[time])
+        rate = 1.0 / c.step if c.step > 0.0 else float("nan")
+        row = (c.name, c.count, c.duration, c.step, rate, c.jitter, c.gaps.size)
+        head = ("column", "samples", "duration", "median step", "rate", "jitter", "gaps")
+        found.append(("Time, in the unit of its column", head, [row]))
+    rows = []
+    for name, values in log.columns.items():
+        if name != time:
+            f = facts(name, values)
+            rows.append(
+                (name, f.count, f.missing, f.low, f.high, f.quantum, f.noise, int(f.spikes.sum()))
+            )
+    head = ("column", "samples", "missing", "low", "high", "step", "noise", "spikes")
+    found.append(("Columns, in their own units; step: of the quantisation", head, rows))
+    return found
 
 
 def remarks(log: Log, time: str | None) -> list[str]:

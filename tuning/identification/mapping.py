@@ -244,7 +244,7 @@ def _input(series: Series, between: str, dt: float, where: str) -> Signal:
     if np.abs(series.times - grid).max() > _EQUAL * period:
         return Table(series.times, series.values, between)  # pyright: ignore
     ticks = round(period / dt)
-    on_ticks = ticks >= 1 and abs(ticks * dt - period) * len(grid) < _EQUAL * period
+    on_ticks = bool(ticks >= 1 and abs(ticks * dt - period) * len(grid) < _EQUAL * period)
     period = ticks * dt if on_ticks else period
     return Samples(series.values, period, between, on_ticks)  # pyright: ignore
 
