@@ -113,6 +113,17 @@ def test_price_is_told_in_the_units_of_goal_and_limit(finished: Session, result:
     assert unit_of("command_peak") == ""
 
 
+@pytest.mark.slow
+def test_stability_criteria_count_among_the_evidence(tmp_path: Path) -> None:
+    # They are no metrics of a run: a run that is asked for everything leaves them out.
+    session = searched(study(limits={"rightmost_pole_per_s": -20.0}, iterations=2), tmp_path)
+    result = conclude(session)
+    assert result.verdicts[0].value <= -20.0
+    assert "rightmost_pole_per_s" in result.after.values
+    assert "command_rms" in result.after.values
+    assert any("rightmost_pole_per_s <= -20 holds" in line for line in sentences(session, result))
+
+
 def test_folder_holds_the_evidence_and_one_html_page(
     finished: Session, result: Result, tmp_path: Path
 ) -> None:

@@ -20,7 +20,7 @@ from jaxsim.study import Study
 from tuning import solver, space
 from tuning.local import RESERVE, Local, localise
 from tuning.problem import Problem
-from tuning.scoring import Scores, score
+from tuning.scoring import Scores, everything, score
 from tuning.session import noted_interrupts
 from tuning.solver import RUNNING, State
 from tuning.spec import Spec
@@ -337,7 +337,7 @@ def conclude(
     problem, free = tracer.problem, tracer.problem.spec.free
     drives = np.array([i for i in range(problem.spec.count) if i not in left_out])
     gains = [*(space.to_gains(free, z) for z in laws), *marks.values()]
-    scored = score(problem, gains, drives, problem.study.run.dt, None)
+    scored = score(problem, gains, drives, problem.study.run.dt, everything(problem))
     points = [_point(tracer, g, s) for g, s in zip(gains, scored, strict=True)]
     kept: list[Point] = []
     for p in sorted((p for p in points[: len(laws)] if p.feasible), key=lambda p: p.goals[::-1]):

@@ -13,7 +13,7 @@ from tuning import space
 from tuning.certificate import Case, Certificate
 from tuning.local import size
 from tuning.problem import Problem
-from tuning.scoring import Scores, fresh, score
+from tuning.scoring import Scores, everything, fresh, score
 from tuning.session import Session
 from tuning.subproblem import best_step
 
@@ -141,7 +141,8 @@ def _fresh(
     for case in cases:
         laws.append(beside)
         own.append(np.full(len(beside), case.drive))
-    whole = fresh(problem, np.concatenate(laws), np.concatenate(own), problem.study.run.dt, None)
+    runs = np.concatenate(laws), np.concatenate(own)
+    whole = fresh(problem, *runs, problem.study.run.dt, everything(problem))
     ends = np.cumsum([len(part) for part in own])
     return [whole.part(slice(end - len(part), end)) for part, end in zip(own, ends, strict=True)]
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxsim import batch
 from jaxsim._simulate import simulate
+from jaxsim.catalog import METRICS
 from jaxsim.hybrid import Exact
 from jaxsim.objective import Limit, Objective, Over, reduce
 from tuning.problem import Problem
@@ -41,6 +42,13 @@ class Scores(NamedTuple):
     def part(self, rows: Any) -> Scores:
         """Some of the drives."""
         return Scores({k: v[rows] for k, v in self.values.items()}, self.status[rows])
+
+
+def everything(problem: Problem) -> tuple[str, ...] | None:
+    """All metrics, and the criteria among those of the objective, which None would leave out."""
+    metrics = [v for group in METRICS.all().values() for v in group.values]
+    criteria = [name for name in problem.metrics if name not in metrics]
+    return (*metrics, *criteria) if criteria else None
 
 
 def score(

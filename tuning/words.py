@@ -93,7 +93,7 @@ def _ending(result: Result) -> str:
 
 def _goal(session: Session, result: Result, goal: Goal) -> str:
     before, after = (s.over(goal.metric, goal.over) for s in (result.before, result.after))
-    change = f" ({100.0 * (after / before - 1.0):+.1f} %)" if before > 0.0 else ""
+    change = f" ({100.0 * (after / before - 1.0):+.1f} %)" if 0.0 < before < np.inf else ""
     value, row, scenario = result.after.worst(goal.metric)
     over = goal.over if isinstance(goal.over, str) else f"{100.0 * goal.over:g} % quantile"
     worst = f", worst {value:.4g}" if goal.over != "worst" else ""
