@@ -16,9 +16,9 @@ _WINDOW = 3  # neighbours on either side
 _GAP = 1.75  # a time step this many times the median is a gap
 _JITTER = 0.02  # shown from this share of the step on
 # Changes of quantised values are whole multiples of a step, to this share of it; the step is the
-# common divisor of so many of the smallest ones.
+# common divisor of so many of the smallest ones. Fewer changes in all tell nothing.
 _WHOLE = 0.05
-_FEW = 12
+_FEW, _MANY = 12, 20
 _TIME_NAMES = ("t", "time", "timestamp", "stamp", "zeit", "seconds")
 
 
@@ -117,10 +117,11 @@ def quantum(values: np.ndarray) -> float:
     # grid of their own.
     whole = np.array_equal(values, np.round(values))
     single = np.array_equal(values, values.astype(np.float32)) and not whole
-    for rounding in (2e-7 * largest,) if single else (1e-11 * largest, 2e-7 * largest):
-        moved = np.unique(changes[changes > 10.0 * rounding])
-        if moved.size < _FEW:
+    for rounding in (6e-8 * largest,) if single else (1e-11 * largest, 6e-8 * largest):
+        moved = changes[changes > 10.0 * rounding]
+        if moved.size < _MANY:
             continue
+        moved = np.unique(moved)
         step = _common_divisor(moved[:_FEW], rounding)
         whole = np.round(moved / step)
         near = np.abs(moved / step - whole) < _WHOLE
