@@ -9,7 +9,6 @@ import numpy as np
 from jaxsim import batch
 from jaxsim._simulate import simulate
 from jaxsim.catalog import METRICS
-from jaxsim.catalog import METRICS
 from jaxsim.hybrid import Exact
 from jaxsim.objective import Limit, Objective, Over, reduce
 from tuning.problem import Problem
@@ -66,12 +65,9 @@ def fresh(
 ) -> Scores:
     """One run per row of gains (n, P) and index of a drive (n,), in each scenario.
 
-    metrics: names, None for all metrics and the criteria of the objective. All runs of a scenario are one batch.
+    metrics: names, None for all. All runs of a scenario are one batch.
     """
     study, spec = problem.study, problem.spec
-    if metrics is None:
-        every = [v for group in METRICS.all().values() for v in group.values]
-        metrics = tuple(dict.fromkeys((*every, *problem.metrics)))
     paths = {p: gains[:, i] for i, f in enumerate(spec.free) for p in f.paths}
     law, drive = batch.spread(study.law, **paths), study.drive
     if spec.spreads:
