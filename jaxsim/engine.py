@@ -266,7 +266,7 @@ def _judge(loop: ClosedLoop, c: Carry, trial: _Trial, active: Scalar) -> _Verdic
     if loop.deadzone.located and trial.modes:
         start = events.guards(loop, trial.when, c.x, trial.modes, c.held, trial.rates)
         end = events.guards(loop, trial.end, trial.x, trial.modes, c.held, trial.end_rates)
-        landing = events.landing(c.target, end, trial.h, trial.rest, loop.dt)
+        landing = events.landing(loop.surfaces, c.target, end, trial.h, trial.rest, loop.dt)
         ignored = jnp.where(landing.landed, c.target, -1)
         exit_ = events.earliest_exit(loop, trial.modes, start, end, trial.h, ignored)
         slopes = end.rates

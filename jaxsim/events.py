@@ -122,7 +122,9 @@ def _signs(
     return tuple(found)
 
 
-def landing(target: Scalar, end: Guards, h: Scalar, rest: Scalar, dt: float) -> Landing:
+def landing(
+    surfaces: tuple[Surface, ...], target: Scalar, end: Guards, h: Scalar, rest: Scalar, dt: float
+) -> Landing:
     """delta = -g/(dg/dt) at the end of a trial of length h towards surface `target` (-1: none).
 
     The derivative of delta is that of the event time. rest: time left that a landing may take.
@@ -135,7 +137,11 @@ def landing(target: Scalar, end: Guards, h: Scalar, rest: Scalar, dt: float) -> 
     close = jnp.abs(delta) <= _LANDED * dt
     # A trial of no length cannot be corrected; it flips the mode where it stands.
     stuck = h <= _LANDED * dt * 1e-3
-    landed = aimed & ((close & (h + delta <= rest)) | stuck)
+    # One that creeps towards its surface is there when rounding alone tells it from zero: the time
+    # left is g/(dg/dt) with nothing known of g, and no trial would ever bring it down.
+    tolerances = tuple(jnp.full_like(h, s.tolerance(h.dtype)) for s in surfaces)
+    there = jnp.abs(g) <= pick(tolerances, target, jnp.zeros_like(h))
+    landed = aimed & ((close & (h + delta <= rest)) | stuck | (there & ~close))
     # Clipping acts on the value only; the derivative of the event time stays whole.
     bounded = jnp.clip(jax.lax.stop_gradient(delta), -h, _LANDED * dt)
     correction = jnp.where(landed & close, delta + jax.lax.stop_gradient(bounded - delta), 0.0)

@@ -11,6 +11,13 @@ from jaxsim.hybrid import Surface, Switch
 from jaxsim.motors.friction import stick_guard
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
 
+# A stick holds this much more than the slip that it ends, as a share. A motor that creeps to rest
+# under its own position loop stops where both are equal to the last digit, and toggled for ever.
+_HOLD = 1e-3
+# 1/s. What is left of the speed when a stick begins is rounding; left alone it would wind the gear
+# up until the stick breaks.
+_SETTLE = 200.0
+
 
 class Geared(Motor):
     """J_M omega_M' = T_M + bias - D_M omega_M - T - friction, T = T_s/N the torque of the load.
@@ -60,7 +67,8 @@ class Geared(Motor):
         forward, backward = modes
         torque, speed = self._pull(shaft, command), shaft.omega_M
         still = jnp.zeros_like(speed)
-        ahead, back = self.friction(still, shaft.torque), self.friction(still, -shaft.torque)
+        ahead = (1.0 + _HOLD) * self.friction(still, shaft.torque)
+        back = (1.0 + _HOLD) * self.friction(still, -shaft.torque)
         return (
             stick_guard(speed, torque - ahead, forward, backward),
             stick_guard(-speed, -torque - back, backward, forward),
@@ -83,4 +91,5 @@ class Geared(Motor):
         turning, speed = forward.gate + backward.gate, jnp.abs(shaft.omega_M)
         ahead = forward.gate * self.friction(speed, shaft.torque)
         back = backward.gate * self.friction(speed, -shaft.torque)
-        return (turning * self._pull(shaft, command) - ahead + back) / self.J_M, ()
+        rate = (turning * self._pull(shaft, command) - ahead + back) / self.J_M
+        return rate - (1.0 - turning) * _SETTLE * shaft.omega_M, ()
