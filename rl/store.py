@@ -81,6 +81,29 @@ def read_spec_of(folder: Path) -> APGSpec | SB3Spec:
     return from_table(read_toml(folder / "training.toml"))
 
 
+def check_same(folder: Path, spec: APGSpec | SB3Spec) -> None:
+    """Raises: InputError where the folder holds a training of another spec."""
+    there = read_spec_of(folder)
+    if there != spec:
+        old, new = there.model_dump(), spec.model_dump()
+        other = {k: (old.get(k), v) for k, v in new.items() if old.get(k) != v}
+        rule, fix = "must hold the training asked for", "name another --out, or remove it"
+        raise InputError(str(folder), rule, f"others (there, asked): {other}", fix)
+
+
+def read_rows(folder: Path) -> list[Row]:
+    """The validations of a training so far."""
+    return _rows_of(read_json(folder / "state.json"), folder)
+
+
+def _rows_of(state: dict[str, Any], folder: Path) -> list[Row]:
+    try:
+        return [Row(**row) for row in state["rows"]]
+    except (KeyError, TypeError) as error:
+        where = str(folder / "state.json")
+        raise InputError(where, "must be as it was written", str(error), "train anew") from None
+
+
 def write_checkpoint(folder: Path, trainer: Trainer, rows: Sequence[Row]) -> None:
     """Write beside and switch over: a kill at any moment leaves one that is whole."""
     name = f"checkpoint-{trainer.done}"
@@ -96,12 +119,8 @@ def write_checkpoint(folder: Path, trainer: Trainer, rows: Sequence[Row]) -> Non
 def read_checkpoint(folder: Path, trainer: Trainer) -> list[Row]:
     """Take a training up. Raises: InputError where there is none, or it is not whole."""
     state = read_json(folder / "state.json")
-    try:
-        rows, name = [Row(**row) for row in state["rows"]], state["checkpoint"]
-    except (KeyError, TypeError) as error:
-        where = str(folder / "state.json")
-        raise InputError(where, "must be as it was written", str(error), "train anew") from None
-    trainer.load(folder / str(name))
+    rows = _rows_of(state, folder)
+    trainer.load(folder / str(state.get("checkpoint")))
     return rows
 
 
@@ -138,9 +157,11 @@ def write_result(
 __all__ = [
     "Row",
     "best_of",
+    "check_same",
     "law_of",
     "read_checkpoint",
     "read_policy",
+    "read_rows",
     "read_spec_of",
     "write_checkpoint",
     "write_policy",

@@ -1,0 +1,130 @@
+"""`gearlash compare`: agents against classical laws, on the same drives, scenarios and seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def command(
+    study: Annotated[str, typer.Argument(help="Comparison file, or the name of a shipped one.")],
+    out: Annotated[Path, typer.Option(help="Folder for trainings, table, plots, report.")],
+) -> None:
+    """Train what is missing, score agents and classical laws alike, write a report.
+
+    The trainings are kept in the folder: a second call goes on where the first was stopped.
+    """
+    from rl.study import read_comparison
+
+    what = read_comparison(study)
+    import jaxsim
+
+    # Agents train in float32; the classical laws' numbers need no more than that to compare.
+    jaxsim.configure(x64=False)
+    from rich.console import Console
+
+    from jaxsim.provenance import make_folder
+
+    make_folder("--out", out)
+    console = Console()
+    try:
+        _train(what, out / "agents", console)
+        lines, words = _compare(what, out, console)
+    except KeyboardInterrupt:
+        console.print("Interrupted: trainings are kept; the same command goes on.", style="yellow")
+        raise typer.Exit(130) from None
+    _show(lines, words, console)
+    console.print(
+        f"Wrote table.csv, comparison.json, tuned_law.toml, plots and report.html to {out}"
+    )
+
+
+def _train(what: Any, folder: Path, console: Any) -> None:
+    """All trainings under one progress bar, in units of trainings."""
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from rl.comparison import train_all
+
+    columns = (
+        TextColumn("trainings"),
+        BarColumn(bar_width=16),
+        TextColumn("{task.completed:.1f} of {task.total}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[shown]}"),
+    )
+    order = [name for name, _ in what.trainings()]
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("", total=len(order), shown="compiling")
+
+        def tell(name: str, spec: Any, row: Any) -> None:
+            share = 1.0 if row is None else row.done / spec.total
+            shown = f"{name}: " + ("there already" if row is None else f"cost {row.cost:.4g}")
+            bar.update(task, completed=order.index(name) + min(share, 1.0), shown=shown)
+
+        train_all(what, folder, tell)
+
+
+def _compare(what: Any, out: Path, console: Any) -> tuple[Any, list[str]]:
+    """Score everything and write it down."""
+    from envs.environment import build
+    from rl import comparison, report
+    from rl.classical import run_nominal
+
+    env = build(what.task)
+    with console.status("Classical laws ...") as status:
+        entries, laws, rival = comparison.classical(env, what)
+
+        def tell(runs: int) -> None:
+            status.update(f"Tuning the classical law: {runs} of {what.tuning} runs ...")
+
+        entry, found = comparison.tuned(env, what, rival, tell)
+        status.update("Agents ...")
+        entries += [entry, *comparison.agents(what, out / "agents")]
+        lines = comparison.table(entries)
+        words = comparison.sentences(lines)
+        status.update("Nominal case ...")
+        laws = comparison.nominal_laws(what, out / "agents", {**laws, "tuned": found.law})
+        runs = run_nominal(laws, *comparison.nominal_case(what))
+        status.update("Drawing ...")
+        _draw_learning(what, out)
+        unit = comparison.unit_of(env)
+        report.write(out, what, entries, lines, words, found, runs, unit)
+    return lines, words
+
+
+def _draw_learning(what: Any, out: Path) -> None:
+    from rl.figures import learning
+    from rl.store import read_rows
+
+    curves = {
+        name: [read_rows(out / "agents" / f"{name}-{spec.seed}") for spec in specs]
+        for name, specs in what.agents.items()
+    }
+    learning(out / "learning.png", curves, what.name)
+
+
+def _show(lines: Any, words: list[str], console: Any) -> None:
+    from rich.table import Table
+
+    shown = Table(title="Median cost over the test episodes", title_justify="left")
+    for name in ("law", "cost", "95 % interval", "of the tuned", "wins %", "steps", "CPU s"):
+        shown.add_column(name, justify="left" if name == "law" else "right")
+    for line in lines:
+        shown.add_row(
+            line.name, f"{line.median:.4g}", f"{line.low:.4g} to {line.high:.4g}",
+            f"{line.ratio:.3g}", f"{100.0 * line.wins['cost']:.0f}", f"{line.steps:,.0f}",
+            f"{line.cpu:.0f}",
+        )  # fmt: skip
+    console.print(shown)
+    for text in words:
+        console.print(text)

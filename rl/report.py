@@ -1,0 +1,169 @@
+"""What a comparison leaves behind: table.csv, comparison.json, plots, report.html."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxsim import components
+from jaxsim.html import Picture, Section, Summary, Table, Text, write_html
+from jaxsim.provenance import provenance, replace_text, write_json, write_toml
+from jaxsim.run import Run
+from rl import figures
+from rl.classical import Tuned
+from rl.comparison import TUNED, Entry, Line
+from rl.study import Comparison
+
+# What the 2018 paper judges by, in the nominal case.
+NOMINAL = {
+    "rad": (
+        "first_impact_Nm",
+        "braking_peak_Nm",
+        "overshoot_pct",
+        "settle_2pct_s",
+        "itae_rad_s2",
+        "command_peak",
+        "command_variation",
+    ),
+    "Nm": (
+        "torque_error_rms_Nm",
+        "torque_overshoot_pct",
+        "torque_settle_2pct_s",
+        "command_peak",
+        "command_variation",
+    ),
+}
+
+
+def head(lines: Sequence[Line]) -> list[str]:
+    """The columns of the table on the screen and in the report."""
+    metrics = [f"{key}, median" for key in lines[0].medians if key != "cost"]
+    return [
+        "law", "cost, median", "95 % interval", "of the tuned", "95 % interval", "failed %",
+        "wins %", *metrics, "steps", "CPU s",
+    ]  # fmt: skip
+
+
+def cells(line: Line) -> list[Any]:
+    """One line under `head`."""
+    metrics = [value for key, value in line.medians.items() if key != "cost"]
+    return [
+        line.name,
+        line.median,
+        f"{line.low:.4g} to {line.high:.4g}",
+        line.ratio,
+        f"{line.ratio_low:.3g} to {line.ratio_high:.3g}",
+        100.0 * line.failed,
+        100.0 * line.wins["cost"],
+        *metrics,
+        line.steps,
+        line.cpu,
+    ]
+
+
+def _wins(lines: Sequence[Line]) -> Table:
+    metrics = list(lines[0].wins)
+    rows = [[line.name, *(100.0 * line.wins[m] for m in metrics)] for line in lines]
+    caption = "Share of the episodes, %, in which the law has less of a metric than the tuned one."
+    return Table(caption, ["law", *metrics], rows)
+
+
+def nominal_table(runs: Mapping[str, Run], unit: str) -> Table:
+    """The metrics of the nominal case."""
+    names = NOMINAL[unit]
+    rows = [[name, *(float(run.metrics[m]) for m in names)] for name, run in runs.items()]
+    caption = (
+        "The paper's drive and step, simulated with each law; of an agent the seed that was best "
+        "on the validation episodes. Encoders, but neither noise nor delay."
+    )
+    return Table(caption, ["law", *names], rows)
+
+
+def write(
+    folder: Path,
+    study: Comparison,
+    entries: Sequence[Entry],
+    lines: Sequence[Line],
+    words: Sequence[str],
+    found: Tuned,
+    runs: Mapping[str, Run],
+    unit: str,
+) -> None:
+    """All files of a comparison."""
+    _write_numbers(folder, study, entries, lines, words, found, runs, unit)
+    figures.costs(folder / "costs.png", entries, lines)
+    signals = ("theta_L", "T_s", "command") if unit == "rad" else ("T_s", "command")
+    figures.responses(folder / "responses.png", runs, signals)
+    pictures = [
+        Picture("Cost of every episode and seed; the line is the tuned law's median.",
+                folder / "costs.png"),
+        Picture("Learning curves: median cost of the validation episodes.",
+                folder / "learning.png"),
+    ]  # fmt: skip
+    response = Picture("Responses in the nominal case.", folder / "responses.png")
+    seeds = max(len(specs) for specs in study.agents.values())
+    about = [
+        f"{study.about}. {study.episodes} fresh episodes, the same for all, apart from those "
+        f"that agents are trained and chosen on and from those that the law is tuned on; "
+        f"{seeds} seeds per agent.",
+        "Classical laws run continuously on exact signals. Agents read encoders every "
+        "millisecond, with noise, and in half of the episodes one period late.",
+        f"The tuned law has the structure of {list(runs)[2]}, and the gains "
+        + ", ".join(f"{n} = {v:.4g}" for n, v in found.gains.items())
+        + f", by CMA-ES on the median cost of 256 other episodes ({found.runs} runs).",
+    ]
+    verdict, *rest = words
+    mood = "good" if verdict.startswith("Learning pays") else "plain"
+    write_html(
+        folder / "report.html",
+        f"Comparison: {study.name}",
+        Summary(verdict, rest, mood),
+        [
+            Section("How it was compared", [Text(about)]),
+            Section("Random episodes", [_main_table(lines), _wins(lines), *pictures]),
+            Section("Nominal case", [nominal_table(runs, unit), response]),
+        ],
+        provenance(dtype="float64"),
+    )
+
+
+def _main_table(lines: Sequence[Line]) -> Table:
+    caption = (
+        "Cost: mean of its terms, each over the paper's law's in the nominal case. Median over "
+        "seeds of the median over episodes; intervals by bootstrap over seeds and episodes. "
+        "Steps of control and CPU seconds per seed."
+    )
+    return Table(caption, head(lines), [cells(line) for line in lines])
+
+
+def _write_numbers(
+    folder: Path, study: Comparison, entries: Sequence[Entry], lines: Sequence[Line],
+    words: Sequence[str], found: Tuned, runs: Mapping[str, Run], unit: str,
+) -> None:  # fmt: skip
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head(lines))
+    writer.writerows(cells(line) for line in lines)
+    replace_text(folder / "table.csv", text.getvalue())
+    per_seed = {e.name: np.median(e.numbers["cost"], axis=1).tolist() for e in entries}
+    nominal = nominal_table(runs, unit)
+    content = {
+        "study": study.name,
+        "verdict": list(words),
+        "lines": [line._asdict() for line in lines],
+        "median_cost_per_seed": per_seed,
+        "tuned": {"gains": found.gains, "cost": found.cost, "runs": found.runs, "cpu_s": found.cpu},
+        "nominal": {r[0]: dict(zip(nominal.header[1:], r[1:], strict=True)) for r in nominal.rows},
+        **provenance(dtype="float64"),
+    }
+    write_json(folder / "comparison.json", content)
+    about = f"{TUNED} on {study.task}: median cost {found.cost:.6g} of the episodes of its tuning"
+    write_toml(folder / "tuned_law.toml", {"law": components.dump(found.law)}, about)
+
+
+__all__ = ["cells", "head", "write"]
