@@ -1,52 +1,43 @@
-"""Plant-steps per second of exact and plain mode next to a plain numba loop, in one run.
+"""Plant-steps per second: the engine next to C and numba on the same closed loop, in one run.
 
-The closed loop is the bench with the switched law, 0.30 rad step, 0.3 s at dt = 2e-4 s; half_gap
-differs from member to member. Each figure is the best of three interleaved repeats, compile time
-apart; each timing blocks on its result.
+The bench with the switched law, 0.30 rad step, 0.3 s at dt = 2e-4 s; half_gap differs from member
+to member. C folds the same three metrics, numba only the largest angle; neither locates events.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from pathlib import Path
+from typing import Any
 
 import jax
+import measuring
 import numpy as np
+from compiled_reference import compiler, reference
 from numba_loop import run as numba_run
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 import jaxsim
-from jaxsim._simulate import simulate
-from jaxsim.batch import spread
-from jaxsim.hybrid import Deadzone, Exact, Plain
-from jaxsim.provenance import provenance, write_json
-from jaxsim.study import load
+from jaxsim.hybrid import Deadzone
 
 BATCHES = (1, 256, 4096, 65536)
-REPEATS = 3
 METRICS = ("itae_rad_s2", "largest_torque_Nm", "overshoot_rad")
-OUT = Path("results/bench/throughput.json")
+MODES = {"plain": jaxsim.Plain(), "exact": jaxsim.Exact(), "smoothed": jaxsim.Smoothed()}
 
 
-def engine(deadzone: Deadzone, members: int) -> Callable[[], object]:
+def engine(deadzone: Deadzone, members: int, dtype: str) -> Callable[[], Any]:
     """A call that runs the batch and waits for its metrics."""
-    study = load("bench_switched")
-    drives = spread(study.drive, half_gap=half_gaps(members))
+    study = jaxsim.load("bench_switched")
+    drives = jaxsim.spread(study.drive, half_gap=half_gaps(members))
+    options: dict[str, Any] = {
+        "dt": study.run.dt,
+        "deadzone": deadzone,
+        "metrics": METRICS,
+        "store": None,
+        "dtype": dtype,
+        "throw": False,
+    }
 
-    def call() -> object:
-        done = simulate(
-            drives,
-            study.law,
-            study.scenario,
-            dt=study.run.dt,
-            deadzone=deadzone,
-            metrics=METRICS,
-            store=None,
-            throw=False,
-        )
+    def call() -> Any:
+        done = jaxsim.simulate(drives, study.law, study.scenario, **options)
         return jax.block_until_ready(done.metrics)
 
     return call
@@ -56,55 +47,52 @@ def half_gaps(members: int) -> np.ndarray:
     return 7.8e-3 * np.linspace(0.8, 1.2, members)
 
 
+def calls(members: int, steps: int, dt: float) -> dict[str, Callable[[], Any]]:
+    """Everything that is timed at one batch size, by name."""
+    found = {
+        f"{mode} {dtype}": engine(deadzone, members, dtype)
+        for mode, deadzone in MODES.items()
+        for dtype in ("float64", "float32")
+    }
+    found["numba, 1 thread"] = lambda: numba_run(half_gaps(members), steps, dt)
+    if compiler() is None:
+        return found
+    for dtype in ("float64", "float32"):
+        for threads in (1, 2):
+            gaps = half_gaps(members).astype(dtype)
+            found[f"C {dtype}, {threads} thread(s)"] = reference(gaps, steps, dt, threads=threads)
+    return found
+
+
 def main() -> None:
     jaxsim.configure()
-    study = load("bench_switched")
+    study = jaxsim.load("bench_switched")
     steps = round(study.scenario.duration / study.run.dt)
-    rows = []
-    for members in track(BATCHES, description="Measuring ..."):
-        calls = {
-            "exact": engine(Exact(), members),
-            "plain": engine(Plain(), members),
-            "numba, one core, no metrics": lambda m=members: numba_run(
-                half_gaps(m), steps, study.run.dt
-            ),
-        }
-        best = dict.fromkeys(calls, np.inf)
-        first = {}
-        for name, call in calls.items():
-            begin = time.perf_counter()
-            call()
-            first[name] = time.perf_counter() - begin
-        for _ in range(REPEATS):
-            for name, call in calls.items():
-                begin = time.perf_counter()
-                call()
-                best[name] = min(best[name], time.perf_counter() - begin)
+    rows, ratios = [], {}
+    for members in measuring.progress(BATCHES, "Throughput ..."):
+        timings = measuring.interleaved(
+            calls(members, steps, study.run.dt), repeats=3 if members > 10_000 else 5
+        )
+        rate = {name: members * steps / t.best_s / 1e6 for name, t in timings.items()}
         rows += [
-            {
-                "batch": members,
-                "what": name,
-                "first_call_s": first[name],
-                "best_s": best[name],
-                "million_steps_per_s": members * steps / best[name] / 1e6,
-            }
-            for name in calls
+            {"batch": members, "what": n, "M_steps_per_s": rate[n], "first_call_s": t.first_s}
+            for n, t in timings.items()
         ]
-    show(rows)
-    write_json(OUT, {"rows": rows, **provenance()})
-    Console().print(f"Wrote {OUT}")
+        ratios |= _ratios(members, rate)
+    measuring.save("throughput", rows, ratios)
 
 
-def show(rows: list[dict]) -> None:
-    table = Table(title="Million plant-steps per second, 0.3 s of the bench at dt = 2e-4 s")
-    table.add_column("batch", justify="right")
-    names = list(dict.fromkeys(row["what"] for row in rows))
-    for name in names:
-        table.add_column(name, justify="right")
-    for members in BATCHES:
-        own = {r["what"]: r["million_steps_per_s"] for r in rows if r["batch"] == members}
-        table.add_row(str(members), *(f"{own[name]:.2f}" for name in names))
-    Console().print(table)
+def _ratios(members: int, rate: dict[str, float]) -> dict[str, float]:
+    found = {
+        f"exact of plain, float64, {members}": rate["exact float64"] / rate["plain float64"],
+        f"exact of numba, {members}": rate["exact float64"] / rate["numba, 1 thread"],
+    }
+    for dtype in ("float64", "float32"):
+        best = max((rate[n] for n in rate if n.startswith(f"C {dtype}")), default=None)
+        if best is not None:
+            for mode in ("plain", "exact"):
+                found[f"{mode} of C, {dtype}, {members}"] = rate[f"{mode} {dtype}"] / best
+    return found
 
 
 if __name__ == "__main__":
