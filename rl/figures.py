@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxsim.run import Run
 from rl.comparison import Entry, Line
 from rl.store import Row
+
+
+def _plain_ticks(*axes: Any) -> None:
+    """0.7 and 2 in place of powers of ten: costs span less than one decade or two."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    for axis in axes:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def learning(path: Path, runs: Mapping[str, Sequence[Sequence[Row]]], title: str) -> None:
@@ -32,7 +43,9 @@ def learning(path: Path, runs: Mapping[str, Sequence[Sequence[Row]]], title: str
     axes[1].set(xlabel="CPU time [s]")
     for ax in axes:
         ax.set(xscale="log", yscale="log")
-        ax.grid(alpha=0.3, which="both")
+        ax.grid(alpha=0.3)
+        _plain_ticks(ax.yaxis)
+    _plain_ticks(axes[1].xaxis)
     axes[0].legend(frameon=False)
     figure.suptitle(f"Learning curves, {title}: least so far (thin: each validation)")
     figure.savefig(path, dpi=130)
@@ -56,7 +69,8 @@ def costs(path: Path, entries: Sequence[Entry], lines: Sequence[Line]) -> None:
         box.set_facecolor("#9ecae1" if entry.learned else "#d9d9d9")
     ax.axvline(tuned.median, color="black", lw=0.8, ls="--")
     ax.set(xscale="log", xlabel="cost of an episode (box: quartiles, whiskers: 5 and 95 %)")
-    ax.grid(alpha=0.3, axis="x", which="both")
+    ax.grid(alpha=0.3, axis="x")
+    _plain_ticks(ax.xaxis)
     ax.set_title("Cost; agents blue, classical laws grey, dashed: tuned law", fontsize=10)
     figure.savefig(path, dpi=130)
 
