@@ -184,7 +184,7 @@ def test_a_missing_column_names_the_nearest(log: Any, tmp_path: Path) -> None:
 
 
 def test_an_unknown_signal_names_the_nearest(log: Any, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="did you mean .*theta_L"):
+    with pytest.raises(InputError, match=r"did you mean .*theta_L"):
         _mapped(tmp_path, _table(theta_l={"column": "load [counts]"}))
 
 
@@ -203,7 +203,7 @@ def test_nan_is_masked_in_a_reading_and_refused_in_an_input(log: Any, tmp_path: 
 def test_time_that_runs_backwards_is_refused(log: Any, tmp_path: Path) -> None:
     log["t [ms]"][40] = 12.0
     _save(tmp_path, log)
-    with pytest.raises(InputError, match="must not run backwards.*at sample 40"):
+    with pytest.raises(InputError, match=r"must not run backwards.*at sample 40"):
         _mapped(tmp_path)
 
 

@@ -184,7 +184,7 @@ def _member(how: _How, model: Model, readings: Readings, values: Any, scale: Any
         found, moved, (status, contact) = jax.jvp(residuals, (values,), (direction,), has_aux=True)
         return found, moved, status, contact
 
-    return jax.vmap(push, out_axes=(None, 0, None, None))(jnp.eye(len(how.free)) * scale)
+    return jax.vmap(push, out_axes=(None, 0, None, None))(jnp.diag(scale))
 
 
 def _contact(signals: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -223,9 +223,12 @@ class _Work:
             starts[1:] = np.where(shared, unknowns.to_values(cube), starts[1:])
         return starts
 
-    def _refit(self, values: np.ndarray, what: str, who: np.ndarray, frozen: Any = None) -> Fits:
+    def _refit(
+        self, values: np.ndarray, what: str, who: np.ndarray, frozen: Any = None,
+        stages: Sequence[Stage] = _LAST,
+    ) -> Fits:  # fmt: skip
         found = fit(
-            self.problem, values, who=who, stages=_LAST, loss=self.loss, frozen=frozen,
+            self.problem, values, who=who, stages=stages, loss=self.loss, frozen=frozen,
             iterations=self.spec.search.iterations, tell=lambda p: self.tell(what, p),
         )  # fmt: skip
         self.interrupted |= found.interrupted
@@ -295,7 +298,8 @@ class _Work:
             return ()
         count = len(self.train)
         who = self.train[:, None]
-        found = self._refit(np.tile(best, (count, 1)), "each log alone", who)
+        # From the compromise of all logs the way may be long: the horizon grows again.
+        found = self._refit(np.tile(best, (count, 1)), "each log alone", who, stages=STAGES)
         there = self.problem.evaluate(found.values, who=who)
         seen = [
             uncertainty.covariance(
