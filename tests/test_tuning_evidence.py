@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_tuning import searched, study
+from typer.testing import CliRunner
 
 from jaxsim._simulate import simulate
+from jaxsim.command import app
 from jaxsim.hybrid import Plain
 from jaxsim.objective import Limit
+from jaxsim.provenance import write_toml
 from jaxsim.study import from_table
 from tuning import figures, page, report, space
 from tuning.result import Result, conclude, prices
@@ -148,3 +151,32 @@ def test_folder_holds_the_evidence_and_one_html_page(
     first = sentences(finished, result)[0]
     assert first in whole
     assert "http" not in whole.split("</style>")[1].split("<h2")[0]
+
+
+def test_mistakes_in_what_is_asked_for_beside_are_told_before_the_search(tmp_path: Path) -> None:
+    file, out = tmp_path / "mine.toml", tmp_path / "out"
+    write_toml(file, study().table)
+    for option, pair, message in (
+        ("--front", ("itae_rads2", "command_rms"), "did you mean itae_rad_s2"),
+        ("--map", ("K_P", "K_Bee"), "did you mean"),
+    ):
+        done = CliRunner().invoke(app, ["tune", str(file), option, *pair, "--out", str(out)])
+        assert done.exit_code != 0
+        assert message in " ".join(done.output.split())
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_front_and_map_asked_for_beside_are_on_the_page(tmp_path: Path) -> None:
+    file, out = tmp_path / "mine.toml", tmp_path / "out"
+    write_toml(file, study(iterations=10).table)
+    front = ["--front", "itae_rad_s2", "largest_torque_Nm"]
+    options = [*front, "--map", "K_P", "K_B", "--out", str(out)]
+    done = CliRunner().invoke(app, ["tune", str(file), *options])
+    assert done.exit_code == 0, done.output
+    page = (out / "report.html").read_text("utf-8")
+    assert page.count("<img") == len(figures.FILES) + 2
+    assert "Front between itae_rad_s2 and largest_torque_Nm" in page
+    assert "Map of K_P and K_B" in page
+    assert (out / "front" / "laws" / "00.toml").exists()
+    assert (out / "map" / "map.csv").exists()

@@ -34,6 +34,8 @@ _SAME = 1e-9
 _AT_ZERO = 1e-6
 
 
+# Of the runs per gain, unless told otherwise.
+POINTS = 41
 # Poles are found on a grid so many times finer than the runs: they cost next to nothing.
 FINER = 4
 
@@ -132,6 +134,12 @@ def _bounds(study: Study, name: str, value: float, option: str) -> tuple[float, 
         raise InputError(f"{option}-range", "must be given for a gain that is 0", 0.0, fix)
     low, high = sorted((value / _AROUND, value * _AROUND))
     return low, high
+
+
+def usual(study: Study) -> tuple[str, ...]:
+    """What is mapped unless told otherwise: the objective's metrics and the limit cycle."""
+    wanted = study.objective.metrics() if study.objective else ("largest_torque_Nm",)
+    return tuple(dict.fromkeys([*wanted, "limit_cycle_rad"]))
 
 
 def survey(study: Study, x: Axis, y: Axis, metrics: tuple[str, ...]) -> GainMap:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxsim import plots
-from jaxsim.html import Picture, Section, Summary, Table, write_html
+from jaxsim.html import Picture, Section, Summary, Table, Text, write_html
 from jaxsim.provenance import provenance, write_json
 from jaxsim.status import Status
 from jaxsim.study import Study
@@ -26,6 +26,7 @@ def write(
     study: Study, found: GainMap, marks: dict[str, tuple[float, float]], out: Path
 ) -> tuple[str, ...]:
     """map.csv, map.json, map.png and report.html; marks: name -> the two gains of a law."""
+    out.mkdir(parents=True, exist_ok=True)
     about = provenance(dtype=study.run.dtype)
     write_csv(out / "map.csv", *_rows(found))
     words = sentences(study, found)
@@ -39,19 +40,27 @@ def write(
     }
     write_json(out / "map.json", content | about)
     draw(study, found, marks, out / "map.png")
+    title = f"{study.name}: map of {found.x.name} and {found.y.name}"
+    page = sections(found, out)
+    write_html(out / "report.html", title, Summary(words[0], words[1:]), page, about)
+    return "map.csv", "map.json", "map.png", "report.html"
+
+
+def sections(found: GainMap, out: Path) -> list[Section]:
+    """What a page says of a map, from the plot in its folder."""
     caption = (
         "Colours: the nonlinear runs; grey: the run fails. Lines: where a pole of that contact "
         "mode crosses the imaginary axis; hatched: a mode is unstable. Pink: the study's limit."
     )
-    plane = f"{found.x.name} and {found.y.name}"
     least = Table("Where each metric is least.", ["metric", "least", *_names(found)], _least(found))
-    sections = [Section("The plane", [Picture(caption, out / "map.png"), least])]
+    picture = Picture(caption, out / "map.png")
+    shown = [Section(f"Map of {found.x.name} and {found.y.name}", [picture, least])]
     if found.modes:
         head = ["mode", "stable at, %", "rightmost pole, least, 1/s", "largest, 1/s"]
-        sections.append(Section("Poles", [Table("Each mode by itself.", head, _modes(found))]))
-    title = f"{study.name}: map of {plane}"
-    write_html(out / "report.html", title, Summary(words[0], words[1:]), sections, about)
-    return "map.csv", "map.json", "map.png", "report.html"
+        text = "Poles are those of one mode at a time; what switching does, the runs show."
+        table = Table("Each mode by itself.", head, _modes(found))
+        shown.append(Section("Poles over the map", [table, Text([text])]))
+    return shown
 
 
 def _names(found: GainMap) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,11 @@ from tuning.session import Session
 from tuning.words import at_bound, sentences, unit_of
 
 
-def write(session: Session, result: Result, out: Path) -> None:
-    """report.html, from the plots in the folder; what is not there is not told."""
+def write(session: Session, result: Result, out: Path, more: Sequence[Section] = ()) -> None:
+    """report.html, from the plots in the folder; what is not there is not told.
+
+    more: sections on what was asked for beside the tuning, a front or a map.
+    """
     first, *rest = sentences(session, result)
     mood = "good" if result.feasible else "bad"
     sections = [
@@ -26,6 +30,7 @@ def write(session: Session, result: Result, out: Path) -> None:
         Section("Goals and limits", [_goals(session, result), _limits(session, result)]),
         Section("Time responses", _pictures(out, "responses.png")),
         Section("Spread over the drives", _pictures(out, "spread.png")),
+        *more,
         Section("Certificate", _certificate(session, result)),
         Section("Sensitivities", _sensitivities(session, result, out)),
         Section("The search", [*_pictures(out, "convergence.png"), _search(session)]),

@@ -25,6 +25,8 @@ from tuning.session import noted_interrupts
 from tuning.solver import RUNNING, State
 from tuning.spec import Spec
 
+# Of a front, unless told otherwise.
+POINTS = 12
 # At an end, the other goal counts by this share: a flat valley ends where that is best as well.
 _OTHER = 1e-3
 # A goal that spans more than this along the front is spaced in its square root: evenly spaced

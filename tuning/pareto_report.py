@@ -26,6 +26,7 @@ _STYLES = {"study": ("s", "#7F7F7F"), "tuned": ("*", "#D55E00")}
 
 def write(study: Study, spec: Spec, front: Front, out: Path) -> tuple[str, ...]:
     """front.csv, front.json, laws/, and where there is a front pareto.png; report.html."""
+    out.mkdir(parents=True, exist_ok=True)
     about = provenance(seed=spec.seed, dtype=study.run.dtype)
     head, rows = _rows(spec, front)
     write_csv(out / "front.csv", head, rows)
@@ -180,19 +181,24 @@ def _range(f: Any) -> str:
     return f"{f.name}: {f.lower:g} to {f.upper:g} {f.unit}{', log' if f.log else ''}"
 
 
-def _page(study: Study, spec: Spec, front: Front, out: Path, about: dict[str, Any]) -> None:
-    first, *rest = sentences(spec, front)
+def sections(spec: Spec, front: Front, out: Path) -> list[Section]:
+    """What a page says of a front, from the plot in its folder."""
     head, rows = _rows(spec, front)
     caption = (
         "Laws that none beats in both goals; open marks exceed a limit of the study. Right: where "
         "each gain stands between its bounds."
     )
     picture = [Picture(caption, out / "pareto.png")] if front.points else []
-    sections = [
-        Section("The front", picture),
-        Section("Laws", [Table("Goals, gains and limited metrics.", head, rows)]),
+    first, second = (g.metric for g in front.pair)
+    return [
+        Section(f"Front between {first} and {second}", picture),
+        Section("Laws along the front", [Table("Goals, gains, limited metrics.", head, rows)]),
     ]
+
+
+def _page(study: Study, spec: Spec, front: Front, out: Path, about: dict[str, Any]) -> None:
+    first, *rest = sentences(spec, front)
     between = " and ".join(g.metric for g in front.pair)
     title = f"{study.name}: front between {between}"
-    mood = "good" if front.points else "bad"
-    write_html(out / "report.html", title, Summary(first, rest, mood), sections, about)
+    summary = Summary(first, rest, "good" if front.points else "bad")
+    write_html(out / "report.html", title, summary, sections(spec, front, out), about)

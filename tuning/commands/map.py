@@ -17,7 +17,7 @@ def command(
         tuple[float, float] | None, typer.Option(help="Default: its bounds in [tune.free].")
     ] = None,
     y_range: Annotated[tuple[float, float] | None, typer.Option(help="The same for y.")] = None,
-    points: Annotated[int, typer.Option(min=2, help="Per gain.")] = 41,
+    points: Annotated[int | None, typer.Option(min=2, help="Per gain; default 41.")] = None,
     metric: Annotated[
         list[str] | None,
         typer.Option(help="Repeat. Default: the objective's and the limit cycle."),
@@ -41,17 +41,17 @@ def command(
     from tuning import gain_map, gain_map_report
 
     what = load(study, law=law).in_scenario(scenario)
-    across = gain_map.axis_of(what, "--x", x, x_range, points)
-    upwards = gain_map.axis_of(what, "--y", y, y_range, points)
-    wanted = what.objective.metrics() if what.objective else ("largest_torque_Nm",)
-    names = tuple(metric or dict.fromkeys([*wanted, "limit_cycle_rad"]))
+    count = points or gain_map.POINTS
+    across = gain_map.axis_of(what, "--x", x, x_range, count)
+    upwards = gain_map.axis_of(what, "--y", y, y_range, count)
+    names = tuple(metric) if metric else gain_map.usual(what)
     make_folder("--out", out)
     console = Console()
     marks = {"study": gain_map_report.marked(what.law, across, upwards)}
     if tuned is not None:
         other = load(study, law=tuned).law
         marks["tuned"] = gain_map_report.marked(other, across, upwards)
-    with console.status(f"{points} x {points} laws: runs and poles ..."):
+    with console.status(f"{count} x {count} laws: runs and poles ..."):
         found = gain_map.survey(what, across, upwards, names)
         files = gain_map_report.write(what, found, marks, out)
     for line in gain_map_report.sentences(what, found):

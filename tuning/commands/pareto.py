@@ -13,7 +13,7 @@ def command(
     between: Annotated[str, typer.Option(help="Metric that the points minimise.")],
     and_: Annotated[str, typer.Option("--and", help="Metric that the points limit.")],
     out: Annotated[Path, typer.Option(help="Folder for laws, tables and plots.")],
-    points: Annotated[int, typer.Option(min=3, help="Of the front.")] = 12,
+    points: Annotated[int | None, typer.Option(min=3, help="Of the front; default 12.")] = None,
     starts: Annotated[int | None, typer.Option(min=1, help="Of the searches.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of drives and starts.")] = None,
     law: Annotated[str | None, typer.Option(help="File to take the first law from.")] = None,
@@ -41,7 +41,7 @@ def command(
         marks["tuned"] = space.gains_of(load(study, law=tuned).law, spec.free)
     console = Console()
     try:
-        front = _traced(what, spec, pair, marks, points, console)
+        front = traced(what, spec, pair, marks, points or pareto.POINTS, console)
     except KeyboardInterrupt:
         console.print("Interrupted before there was a law to keep.")
         raise typer.Exit(130) from None
@@ -58,7 +58,7 @@ def command(
         raise typer.Exit(1)
 
 
-def _traced(what: Any, spec: Any, pair: Any, marks: Any, points: int, console: Any) -> Any:
+def traced(what: Any, spec: Any, pair: Any, marks: Any, points: int, console: Any) -> Any:
     """The front, under a progress line."""
     import numpy as np
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

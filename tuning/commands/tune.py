@@ -14,6 +14,14 @@ def command(
     starts: Annotated[int | None, typer.Option(min=1, help="Starts of the search.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of drives and starts.")] = None,
     law: Annotated[str | None, typer.Option(help="File to take the first law from.")] = None,
+    front: Annotated[
+        tuple[str, str] | None,
+        typer.Option(help="Two metrics: the front between them, too, as `gearlash pareto` has it."),
+    ] = None,
+    plane: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--map", help="Two gains: their map, too, as `gearlash map` has it."),
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
 ) -> None:
     """Tune gains by gradients over a batch of drives, under hard limits."""
@@ -28,10 +36,10 @@ def command(
     from tuning.spec import read_spec
 
     what = load(study, law=law)
+    spec = read_spec(what, starts=starts, seed=seed)
+    beside = Beside(what, spec, front, plane)
     make_folder("--out", out)
-    session = sessions.Session(
-        what, read_spec(what, starts=starts, seed=seed), out / "checkpoint.json"
-    )
+    session = sessions.Session(what, spec, out / "checkpoint.json")
     console = Console()
     if resume:
         with console.status("Taking up the search ..."):
@@ -39,6 +47,8 @@ def command(
     _search(session, console)
     try:
         result = _conclude(session, out, console)
+        if not session.interrupted:
+            beside.add(session, result, out, console)
     except KeyboardInterrupt:
         console.print("Interrupted: the search is kept; --resume writes its results.")
         raise typer.Exit(130) from None
@@ -47,6 +57,63 @@ def command(
         raise typer.Exit(130)
     if not result.feasible:
         raise typer.Exit(1)
+
+
+class Beside:
+    """A front and a map asked for beside a tuning; mistakes in them are told before the search."""
+
+    def __init__(
+        self,
+        study: Any,
+        spec: Any,
+        front: tuple[str, str] | None,
+        plane: tuple[str, str] | None,
+    ) -> None:
+        from tuning import gain_map, pareto
+
+        self.study, self.spec = study, spec
+        self.pair = None if front is None else pareto.pair_of(spec.objective, front)
+        self.axes = None
+        if plane is not None:
+            x, y = (gain_map.axis_of(study, "--map", n, None, gain_map.POINTS) for n in plane)
+            self.axes = x, y
+
+    def add(self, session: Any, result: Any, out: Path, console: Any) -> None:
+        """Run them, write them into `front` and `map`, and put them on the page of the tuning."""
+        from tuning import page
+
+        more = [*self._front(result, out, console), *self._map(result, out, console)]
+        if more:
+            page.write(session, result, out, more)
+
+    def _front(self, result: Any, out: Path, console: Any) -> list[Any]:
+        if self.pair is None:
+            return []
+        from tuning import pareto, pareto_report
+        from tuning.commands.pareto import traced
+
+        marks = {"study": result.initial, "tuned": result.gains}
+        found = traced(self.study, self.spec, self.pair, marks, pareto.POINTS, console)
+        pareto_report.write(self.study, self.spec, found, out / "front")
+        for line in pareto_report.sentences(self.spec, found):
+            console.print(line)
+        return pareto_report.sections(self.spec, found, out / "front")
+
+    def _map(self, result: Any, out: Path, console: Any) -> list[Any]:
+        if self.axes is None:
+            return []
+        from tuning import gain_map, gain_map_report
+
+        laws = {"study": self.study.law, "tuned": result.law}
+        marks = {name: gain_map_report.marked(law, *self.axes) for name, law in laws.items()}
+        with console.status("Mapping the plane ..."):
+            # The rest of the law is the tuned one: the map shows what is around it.
+            around = self.study._replace(law=result.law)
+            found = gain_map.survey(around, *self.axes, gain_map.usual(around))
+            gain_map_report.write(around, found, marks, out / "map")
+        for line in gain_map_report.sentences(around, found):
+            console.print(line)
+        return gain_map_report.sections(found, out / "map")
 
 
 def _search(session: Any, console: Any) -> None:
