@@ -127,6 +127,20 @@ def test_stability_criteria_count_among_the_evidence(tmp_path: Path) -> None:
     assert any("rightmost_pole_per_s <= -20 holds" in line for line in sentences(session, result))
 
 
+def test_an_interrupted_search_does_not_call_its_limits_impossible(
+    finished: Session, result: Result
+) -> None:
+    v = result.verdicts[0]
+    broken = v._replace(value=v.limit.bound + 1.0)
+    early = result._replace(status="interrupted", verdicts=(broken, *result.verdicts[1:]))
+    assert sentences(finished, early)[0] == (
+        "No feasible law was found yet: largest_torque_Nm beyond the limit. "
+        "The search ended early: interrupted."
+    )
+    ended = early._replace(status="converged")
+    assert sentences(finished, ended)[0].startswith("NO FEASIBLE LAW was found")
+
+
 def test_folder_holds_the_evidence_and_one_html_page(
     finished: Session, result: Result, tmp_path: Path
 ) -> None:

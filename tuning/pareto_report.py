@@ -53,12 +53,10 @@ def sentences(spec: Spec, front: Front) -> list[str]:
         f"{len(front.points)} laws on the front, each keeping the study's limits on {count} "
         f"drive{'s' if count > 1 else ''} by fresh runs of the exact model.{ended}"
     ]
-    lines += [f"{_END[k]}: {_told(front, front.points[-k])}" for k in (0, 1)]
+    ends = ((front.pair[1].metric, front.points[0]), (front.pair[0].metric, front.points[-1]))
+    lines += [f"Least {metric}: {_told(front, point)}" for metric, point in ends]
     lines += [_compared(front, name, mark) for name, mark in front.marks.items()]
     return lines + [f"Left out, drive {i}: {why}." for i, why in front.left_out.items()]
-
-
-_END = ("Least second goal", "Least first goal")
 
 
 def _told(front: Front, point: Point) -> str:

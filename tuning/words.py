@@ -82,6 +82,9 @@ def headline(result: Result) -> str:
     broken = np.flatnonzero((result.after.status | result.finer.status).any(axis=1))
     if len(broken) and all(v.holds for v in result.verdicts):
         return f"NO FEASIBLE LAW was found: runs fail on {len(broken)} drives.{ended}"
+    if result.status == "interrupted":
+        names = " and ".join(v.limit.metric for v in result.verdicts if not v.holds)
+        return f"No feasible law was found yet: {names} beyond the limit.{ended}"
     names = " and ".join(v.limit.metric for v in result.conflict)
     rule = "conflict" if len(result.conflict) > 1 else "cannot be kept"
     return f"NO FEASIBLE LAW was found: the limits on {names} {rule}; least violation met.{ended}"
