@@ -11,6 +11,7 @@ import typer
 def command(
     study: Annotated[str, typer.Argument(help="Study file with an [identify] section.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
+    logs: Annotated[Path | None, typer.Option(help="Folder of the logs, not the study's.")] = None,
     starts: Annotated[int | None, typer.Option(help="Starts of the search.", min=1)] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the starts.", min=0)] = None,
 ) -> None:
@@ -28,6 +29,7 @@ def command(
     configure()
     what = load(study)
     spec = read_spec(what, starts=starts, seed=seed)
+    spec = spec if logs is None else spec._replace(folder=logs)
     make_folder("--out", out)
     console = Console()
     outcome, rivals = _identify(what, spec, console)
