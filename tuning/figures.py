@@ -42,7 +42,8 @@ def _responses(session: Session, result: Result, path: Path) -> None:
                 for k, when in enumerate(_WHEN):
                     colour, label = plots.COLOURS[when], when
                     axes[row, column].plot(time, _first(run, name, k), label=label, color=colour)
-                axes[row, 0].set_ylabel(plots.LABELS[name])
+                several = ", axis 0" if session.study.drive.axes > 1 else ""
+                axes[row, 0].set_ylabel(plots.LABELS[name] + several)
             axes[0, column].set_title(_heading(session.problem.label(*case)))
             axes[-1, column].set_xlabel("time [ms]")
         _draw_bounds(session, axes)
@@ -88,8 +89,10 @@ def _draw_bounds(session: Session, axes: Any) -> None:
     for limit in session.spec.objective.limits:
         if limit.metric == "largest_torque_Nm":
             for ax in axes[_SIGNALS.index("T_s")]:
-                both = [ax.axhline(s * limit.bound, color=colour, ls="--", lw=1.0) for s in (1, -1)]
-                ax.legend(both[:1], ["limit"], loc="center right")
+                for sign in (1.0, -1.0):
+                    ax.axhline(sign * limit.bound, color=colour, ls="--", lw=1.0)
+                place = {"transform": ax.get_yaxis_transform(), "ha": "right", "va": "bottom"}
+                ax.text(0.99, limit.bound, "limit", color=colour, **place)
 
 
 def _spread(session: Session, result: Result, path: Path) -> None:
@@ -139,6 +142,7 @@ def _convergence(session: Session, path: Path) -> None:
             drives = session.spec.count if stage == FULL else session.spec.screen
             ax.set_title(f"{drives} drives" if drives > 1 else "one drive")
             ax.set_xlabel("iteration")
+            ax.xaxis.get_major_locator().set_params(integer=True)
         axes[0, 0].set_ylabel(f"cost: {what}" + (f" [$10^{{{power}}}$]" if power else ""))
         axes[0, -1].legend(loc="upper right")
 

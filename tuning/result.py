@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -11,10 +12,11 @@ from jaxsim.objective import Limit
 from tuning import certificate as certificates
 from tuning import space
 from tuning.certificate import Case, Certificate
-from tuning.local import size
+from tuning.local import localise, size
 from tuning.problem import Problem
 from tuning.scoring import Scores, everything, fresh, score
-from tuning.session import Session
+from tuning.session import FULL, Session
+from tuning.solver import State
 from tuning.subproblem import best_step
 
 # A limit whose multiplier is below this share of the cost does not hold the law back.
@@ -93,12 +95,13 @@ class Result(NamedTuple):
 
 def conclude(session: Session) -> Result:
     """Score the study's law and the best one of a session on the exact model, by fresh runs."""
-    study, problem, state = session.study, session.problem, session.best()
+    study, problem = session.study, session.problem
+    drives = np.array([i for i in range(session.spec.count) if i not in session.excluded])
+    state = _best(session, drives)
     assert state.best is not None
     assert state.best_local is not None
     gains = space.to_gains(session.spec.free, state.best)
     initial = space.gains_of(study.law, session.spec.free)
-    drives = np.array([i for i in range(session.spec.count) if i not in session.excluded])
     outcome = problem.evaluate(state.best[None], drives)
     cases = certificates.cases(problem, outcome, drives)
     with ThreadPoolExecutor(2) as pool:  # two programs, which compile side by side
@@ -107,7 +110,7 @@ def conclude(session: Session) -> Result:
         (finer,) = half.result()
     verdicts = tuple(
         _verdict(limit, price, after, finer, drives)
-        for limit, price in zip(session.spec.objective.limits, prices(session), strict=True)
+        for limit, price in zip(session.spec.objective.limits, prices(session, state), strict=True)
     )
     return Result(
         law=space.with_gains(study.law, session.spec.free, gains),
@@ -126,6 +129,27 @@ def conclude(session: Session) -> Result:
         status="interrupted" if session.interrupted else state.status,
         reason="" if session.interrupted else state.reason,
     )
+
+
+def _best(session: Session, drives: np.ndarray) -> State:
+    """The best law on all drives.
+
+    A search that was interrupted on the few drives of its screen has not looked at the others: what
+    it has found there may be worse than the law that it began with. So all of them are compared.
+    """
+    if session.stage == FULL:
+        return session.best()
+    problem, spec = session.problem, session.spec
+    given = space.starting_points(session.study.law, spec)[0]
+    states = [State(given, best=given), *(s for s in session.states if s.best is not None)]
+    points = np.array([s.best for s in states])
+    found = []
+    for s, values, slopes, status in zip(states, *problem.evaluate(points, drives), strict=True):
+        if not status.any() and np.isfinite(values).all() and np.isfinite(slopes).all():
+            local = localise(spec.objective, problem.metrics, values, slopes)
+            goals = tuple(g._replace(factor=g.factor / session.unit) for g in local.goals)
+            found.append(dataclasses.replace(s, best_local=local._replace(goals=goals)))
+    return min(found, key=lambda s: s.rank) if found else session.best()
 
 
 def _fresh(
@@ -147,13 +171,13 @@ def _fresh(
     return [whole.part(slice(end - len(part), end)) for part, end in zip(own, ends, strict=True)]
 
 
-def prices(session: Session) -> list[float]:
-    """d cost/d bound of each limit at the best law; nan where it cannot be told.
+def prices(session: Session, state: State) -> list[float]:
+    """d cost/d bound of each limit at the best law of a state; nan where it cannot be told.
 
     From the multipliers of the step there, which is solved anew: a session that was resumed has
     no last step, and the last step may have begun elsewhere than at the best law.
     """
-    state, limits = session.best(), session.spec.objective.limits
+    limits = session.spec.objective.limits
     here, z = state.best_local, state.best
     if here is None or z is None or state.hessian is None:
         return [np.nan] * len(limits)
