@@ -55,7 +55,7 @@ def _worst(modes: Modes, cuts: Cut) -> tuple[Any, ...]:
     """Margins (axes,) of gain, up and down, and phase: the least of all modes."""
 
     def one(A: Any, cut: Cut) -> Any:
-        stable = traced.rightmost(A) < 0.0
+        stable = traced.rightmost(A[None]) < 0.0
 
         def told(loop: Loop) -> Any:
             both = traced.gain_margins(loop, stable)

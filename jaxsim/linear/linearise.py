@@ -20,6 +20,7 @@ from jaxsim.errors import InputError
 from jaxsim.hybrid import Exact
 from jaxsim.law import share
 from jaxsim.linear.flat import FlatLoop, signals
+from jaxsim.linear.frozen import pseudo_inverse
 from jaxsim.linear.joints import JointSystem, per_joint, plant
 from jaxsim.linear.state_space import StateSpace, per_axis
 from jaxsim.loop import ClosedLoop
@@ -187,7 +188,7 @@ def _unrest(flat: FlatLoop, modes: tuple[Any, ...], z: Any, theta_L: Any, d_L: A
 def _towards_rest(slope: Any, value: Any) -> _Newton:
     size = jnp.linalg.norm(slope, axis=1)
     scale = jnp.where(size == 0.0, 1.0, size)
-    step = jnp.linalg.lstsq(slope / scale[:, None], -value / scale, rcond=_RANK)[0]
+    step = -pseudo_inverse(slope / scale[:, None], jnp.asarray(_RANK)) @ (value / scale)
     return _Newton(step, slope, jnp.abs(value / scale).max())
 
 

@@ -17,6 +17,7 @@ from jaxsim.drive import Drive, Scalar
 from jaxsim.hybrid import Exact
 from jaxsim.loop import ClosedLoop, When
 from jaxsim.motors.dc import DC
+from jaxsim.sampled import _solve as solve_unrolled
 
 _NO_SLOPE = ("ripple", "friction", "supply")
 ALPHAS = ("alpha_j", "alpha_a", "alpha_v")
@@ -60,8 +61,9 @@ def weight(drive: Drive, theta_L: tuple[Scalar, ...]) -> Any:
 
     free = acceleration(jnp.zeros(drive.axes))
     # Affine in the torque: the columns of M^-1.
-    slopes = jnp.stack([acceleration(unit) - free for unit in jnp.eye(drive.axes)], axis=1)
-    return -jnp.linalg.solve(slopes, free) + 0.0
+    columns = [acceleration(unit) - free for unit in jnp.eye(drive.axes)]
+    rows = [[column[i] for column in columns] for i in range(drive.axes)]
+    return -jnp.stack(solve_unrolled(rows, list(free))) + 0.0
 
 
 def contacts(drive: Drive) -> dict[str, tuple[int, ...]]:

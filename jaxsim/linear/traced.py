@@ -17,6 +17,7 @@ from jaxsim import tree
 from jaxsim.errors import InputError
 from jaxsim.linear import operating
 from jaxsim.linear.flat import FlatLoop, signals
+from jaxsim.linear.frozen import Modal, modal
 from jaxsim.linear.linearise import AT_REST, contact_signs, rest
 from jaxsim.loop import ClosedLoop
 
@@ -174,14 +175,25 @@ def _factors(A: Any) -> tuple[Any, Any]:
 
 
 def rightmost(A: Any) -> Any:
-    """The largest real part of the poles of all modes, 1/s."""
-    return jnp.real(jnp.linalg.eigvals(A)).max()
+    """The largest real part of the poles of all modes, A (modes, n, n), 1/s."""
+    return jnp.real(_poles(A)).max()
 
 
 def damping(A: Any) -> Any:
     """The least damping ratio -Re s/|s| of the poles of all modes, 1; 1 where all are real."""
-    poles = jnp.linalg.eigvals(A)
+    poles = _poles(A)
     return (-jnp.real(poles) / jnp.abs(poles)).min()
+
+
+def _poles(A: Any) -> Any:
+    """With derivatives ds = w dA v, w the rows of the inverse of the eigenvectors v."""
+
+    def one(A: Any) -> Any:
+        found = modal(A)
+        change = A - jax.lax.stop_gradient(A)
+        return found.poles + jnp.einsum("ki,ij,jk->k", found.inverse, change, found.V)
+
+    return jax.vmap(one)(A)
 
 
 _ACROSS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)  # a resonance, in half-widths
@@ -190,52 +202,55 @@ _BISECTIONS = 48
 
 
 class Loop(NamedTuple):
-    """L(s) of a loop cut in one place, 1 + L closing it to x' = A x; frequencies to look at."""
+    """L(s) of a loop cut in one place, 1 + L closing it to x' = A x; frequencies to look at.
+
+    modal: of A; gains: (row V)_k (V^-1 column)_k.
+    """
 
     A: Any
     column: Any
     row: Any
+    modal: Modal
+    gains: Any
     omega: Any
 
     def value(self, omega: Any) -> Any:
-        """L(j omega) at one frequency, rad/s.
+        """L(j omega) at one frequency, rad/s, without derivatives by A, column and row.
 
         By the closed loop: M = row (j omega - A)^-1 column is -L/(1 + L).
         """
-        shifted = 1j * omega * jnp.eye(len(self.A)) - self.A
-        M = self.row @ jnp.linalg.solve(shifted, self.column + 0j)
+        M = (self.gains / (1j * omega - self.modal.poles)).sum()
+        return -M / (1.0 + M)
+
+    def differentiable(self, omega: Any) -> Any:
+        """The same with its first derivatives: dM = l dA r + drow r + l dcolumn, all at omega."""
+        V, inverse = self.modal.V, self.modal.inverse
+        frozen = jax.lax.stop_gradient((self.A, self.column, self.row))
+        share = 1.0 / (1j * omega - self.modal.poles)
+        right, left = V @ (share * (inverse @ frozen[1])), ((frozen[2] @ V) * share) @ inverse
+        dA, dcolumn, drow = (
+            v - f for v, f in zip((self.A, self.column, self.row), frozen, strict=True)
+        )
+        right_0, left_0 = jax.lax.stop_gradient((right, left))
+        M = (self.gains * share).sum() + left_0 @ dA @ right_0 + drow @ right_0 + left_0 @ dcolumn
         return -M / (1.0 + M)
 
 
 def cut_loops(A: Any, cut: Cut) -> Loop:
     """The loops of one mode, one per cut, along a leading axis of every array."""
-    A, (columns, rows) = _balanced(A, cut)
+    closed, (columns, rows) = modal(A), cut
 
     def one(column: Any, row: Any) -> Loop:
-        return Loop(A, column, row, _frequencies(A, A - jnp.outer(column, row)))
+        opened = modal(A - jnp.outer(column, row)).poles
+        gains = jax.lax.stop_gradient((row @ closed.V) * (closed.inverse @ column))
+        return Loop(A, column, row, closed, gains, _frequencies(closed.poles, opened))
 
     return jax.vmap(one)(columns.T, rows)
 
 
-def _balanced(A: Any, cut: Cut) -> tuple[Any, Cut]:
-    """States in units in which rows and columns of A have one size (Osborne's iteration)."""
-    size = jnp.abs(jax.lax.stop_gradient(A)) * (1.0 - jnp.eye(len(A)))
-
-    def better(_: Any, scale: Any) -> Any:
-        now = size * scale[None, :] / scale[:, None]
-        least = jnp.finfo(A.dtype).tiny
-        ratio = (now.sum(axis=1) + least) / (now.sum(axis=0) + least)
-        return scale * jnp.clip(ratio, 1e-4, 1e4) ** 0.25
-
-    scale = jax.lax.fori_loop(0, 40, better, jnp.ones(len(A)))
-    return A * scale[None, :] / scale[:, None], (cut[0] / scale[:, None], cut[1] * scale[None, :])
-
-
 def _frequencies(closed: Any, opened: Any) -> Any:
     """Ascending, rad/s: evenly in the logarithm, and closely around the poles of both loops."""
-    poles = jnp.concatenate(
-        [jnp.linalg.eigvals(jax.lax.stop_gradient(A)) for A in (closed, opened)]
-    )
+    poles = jnp.concatenate([closed, opened])
     size = jnp.abs(poles)
     slowest = jnp.maximum(size[: len(closed)].min(), 1e-9 * size.max())
     width = -jnp.real(poles) / jnp.maximum(size, slowest)
@@ -256,21 +271,21 @@ def _crossings(values: Any, height: Any) -> tuple[Any, Any]:
 
 def _polished(loop: Loop, height: Callable[[Any], Any], at: Any) -> Any:
     """L where height(L) = 0, after the frequency number `at`, with its derivatives."""
-    frozen = jax.lax.stop_gradient(loop)
-    low, high = frozen.omega[at], frozen.omega[at + 1]
-    sign = jnp.sign(height(frozen.value(low)))
+    low, high = loop.omega[at], loop.omega[at + 1]
+    sign = jnp.sign(height(loop.value(low)))
 
     def halve(_: Any, ends: Any) -> Any:
         low, high = ends
         middle = jnp.sqrt(low * high)
-        same = jnp.sign(height(frozen.value(middle))) == sign
+        same = jnp.sign(height(loop.value(middle))) == sign
         return jnp.where(same, middle, low), jnp.where(same, high, middle)
 
     low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (low, high))
     omega = jax.lax.stop_gradient(jnp.sqrt(low * high))
-    slope = jax.jvp(lambda w: height(frozen.value(w)), (omega,), (jnp.ones_like(omega),))[1]
+    slope = jax.jvp(lambda w: height(loop.value(w)), (omega,), (jnp.ones_like(omega),))[1]
     # One step of Newton's method moves the crossing with the parameters.
-    return loop.value(omega - height(loop.value(omega)) / jax.lax.stop_gradient(slope))
+    moved = omega - height(loop.differentiable(omega)) / slope
+    return loop.differentiable(moved)
 
 
 def gain_margins(loop: Loop, stable: Any) -> Any:
@@ -278,11 +293,11 @@ def gain_margins(loop: Loop, stable: Any) -> Any:
 
     At most `MOST_DB`; negative where the closed loop is unstable: dB to the nearest such gain.
     """
-    values = jax.lax.stop_gradient(jax.vmap(loop.value)(loop.omega))
+    values = jax.vmap(loop.value)(loop.omega)
     crosses, between = _crossings(values, jnp.imag(values))
     crosses = crosses & (jnp.real(between) < 0.0)
     distance = -_dB(jnp.where(crosses, -jnp.real(between), 1.0))
-    still = -_dB(jnp.maximum(-jnp.real(loop.value(loop.omega[0])), _TINY))
+    still = -_dB(jnp.maximum(-jnp.real(loop.differentiable(loop.omega[0])), _TINY))
     real = (jnp.real(values[0]) < 0.0) & (jnp.abs(jnp.imag(values[0])) < _REAL * jnp.abs(values[0]))
     still = jnp.where(real, still, MOST_DB)
 
@@ -301,7 +316,7 @@ def gain_margins(loop: Loop, stable: Any) -> Any:
 
 def phase_margin(loop: Loop, stable: Any) -> Any:
     """deg to the nearest |L| = 1 at L = -1, at most 180; negative where the loop is unstable."""
-    values = jax.lax.stop_gradient(jax.vmap(loop.value)(loop.omega))
+    values = jax.vmap(loop.value)(loop.omega)
     crosses, between = _crossings(values, jnp.abs(values) - 1.0)
     away = jnp.where(crosses, jnp.abs(jnp.angle(-between)), jnp.inf)
     found = _polished(loop, lambda L: jnp.abs(L) - 1.0, jnp.argmin(away))
