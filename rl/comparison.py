@@ -16,7 +16,7 @@ from jaxsim.law import as_joint_law
 from jaxsim.status import Status
 from rl import store
 from rl.classical import Rival, Tuned, conditions, rivals, run_law, tune
-from rl.episodes import score, test_keys
+from rl.episodes import score, unseen_keys
 from rl.session import Session
 from rl.study import Comparison
 
@@ -88,7 +88,7 @@ def unit_of(env: Environment) -> str:
 
 def classical(env: Environment, study: Comparison) -> tuple[list[Entry], dict[str, Any], Rival]:
     """The classical laws of a task on the test episodes; their laws; and the one to tune."""
-    drives, scenarios = conditions(env, test_keys(study.episodes))
+    drives, scenarios = conditions(env, unseen_keys(study.episodes))
     entries, laws, last = [], {}, None
     for name, last in rivals(unit_of(env)).items():
         entries.append(_entry_of_law(name, run_law(env, last.law, drives, scenarios), 0, 0.0))
@@ -102,7 +102,7 @@ def tuned(
 ) -> tuple[Entry, Tuned]:
     """The last classical law, tuned on the same cost, on the test episodes."""
     found = tune(env, rival, study.tuning, tell)
-    drives, scenarios = conditions(env, test_keys(study.episodes))
+    drives, scenarios = conditions(env, unseen_keys(study.episodes))
     steps = found.runs * 256 * env.steps
     return _entry_of_law(TUNED, run_law(env, found.law, drives, scenarios), steps, found.cpu), found
 
@@ -115,7 +115,7 @@ def _entry_of_law(name: str, numbers: dict[str, np.ndarray], steps: int, cpu: fl
 
 def agents(study: Comparison, folder: Path) -> list[Entry]:
     """The trained policies on the test episodes, in their environments: noise, delay, encoders."""
-    keys, entries = test_keys(study.episodes), []
+    keys, entries = unseen_keys(study.episodes), []
     for name, specs in study.agents.items():
         env = build(specs[0].task)
         results, scores = [], []

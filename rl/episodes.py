@@ -37,7 +37,7 @@ def validation_keys(count: int) -> Any:
     return jax.random.split(jax.random.fold_in(jax.random.key(0xA11), _VALIDATION), count)
 
 
-def test_keys(count: int) -> Any:
+def unseen_keys(count: int) -> Any:
     """Keys of the episodes that nothing was trained or chosen on."""
     return jax.random.split(jax.random.fold_in(jax.random.key(0xA11), _TEST), count)
 
@@ -75,4 +75,4 @@ def _scored(env: Environment, network: Network, words: batch.Batch) -> Any:
     return batch.map_members(one, words, network)
 
 
-__all__ = ["Scores", "episode", "score", "test_keys", "training_keys", "validation_keys"]
+__all__ = ["Scores", "episode", "score", "training_keys", "unseen_keys", "validation_keys"]

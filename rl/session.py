@@ -11,7 +11,7 @@ import numpy as np
 from envs.environment import Environment, build
 from jaxsim.errors import InputError
 from rl import store
-from rl.episodes import Scores, score, test_keys, validation_keys
+from rl.episodes import Scores, score, unseen_keys, validation_keys
 from rl.spec import APGSpec, SB3Spec
 from rl.store import Row
 from rl.trainer import Trainer
@@ -60,7 +60,7 @@ class Session:
     def test(self) -> Scores:
         """The best policy on episodes that nothing was trained or chosen on."""
         policy = store.read_policy(self.folder)
-        return score(self.env, policy.network, test_keys(_TEST))
+        return score(self.env, policy.network, unseen_keys(_TEST))
 
 
 def trainer_of(spec: APGSpec | SB3Spec, folder: Path) -> Trainer:
