@@ -85,9 +85,9 @@ def write(study: Study, spec: Spec, outcome: Outcome, out: Path) -> None:
     if any(p.startswith("law.") for f in outcome.problem.unknowns.free for p in f.paths):
         write_toml(out / "law.toml", {"law": dump(outcome.law(study)), **tables}, head)
     write_json(out / "result.json", _content(study, spec, outcome, words) | about)
-    _write_csv(out / "parameters.csv", HEAD, rows(outcome))
-    _write_csv(out / "experiments.csv", LOGS, log_rows(outcome))
-    _write_csv(out / "residuals.csv", *_residuals(outcome))
+    write_csv(out / "parameters.csv", HEAD, rows(outcome))
+    write_csv(out / "experiments.csv", LOGS, log_rows(outcome))
+    write_csv(out / "residuals.csv", *_residuals(outcome))
 
 
 def _lines(outcome: Outcome) -> list[str]:
@@ -168,7 +168,8 @@ def _residuals(outcome: Outcome) -> tuple[tuple[str, ...], list[tuple[Any, ...]]
     return ("log", "signal", "time [s]", "reading", "model"), table
 
 
-def _write_csv(path: Path, head: Any, table: Any) -> None:
+def write_csv(path: Path, head: Any, table: Any) -> None:
+    """Rows below a head, written beside and renamed."""
     beside = path.with_name(path.name + ".part")
     with beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -95,6 +95,9 @@ class _Identify(BaseModel):
     dt: float | str | None = None
     start: Literal["study", "readings"] = "study"
     structures: dict[str, str] = {}
+    # Read by gearlash design-experiment and gearlash watch.
+    design: dict[str, Any] = {}
+    watch: dict[str, Any] = {}
 
 
 class _Free(BaseModel):
