@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -323,3 +324,37 @@ def test_every_kind_of_leaf_can_be_tuned(name: str) -> None:
     differences, slopes = (up - down) / (2.0 * step), found.slopes[0, 0, 0, 0]
     np.testing.assert_allclose(slopes, differences, rtol=2e-3, atol=1e-5 * np.abs(slopes).max())
     assert (slopes != 0.0).all()
+
+
+def arm_with(payload: float, q1: float, q2: float) -> Any:
+    """Its matrices (2)-(5) written down: inertia of both links, weight differentiated."""
+    payload_load = load("arm_tuned").drive.load
+    assert isinstance(payload_load, TwoLinkPayload)
+    arm = replace(payload_load, payload=payload).loaded
+    turn = float(arm.coupling) * np.cos(q2)
+    M_12 = float(arm.inertia_2) + turn
+    M_L = np.array([[float(arm.inertia_1) + 2.0 * turn, M_12], [M_12, float(arm.inertia_2)]])
+    first, second = float(arm.gravity_1) * np.cos(q1), float(arm.gravity_2) * np.cos(q1 + q2)
+    K_L = np.array([[first + second, second], [second, second]])
+    return replace(paper.arm(), M_L=M_L, K_L=K_L)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("payload", [0.0, 0.05, 0.1])
+def test_the_tuned_arm_is_stable_where_the_load_stiffness_is_definite(payload: float) -> None:
+    """Issue 4, line 4: by NumPy's eigenvalues, on matrices that no code of the library made."""
+    get = partial(tree.get, load("arm_tuned").law)
+    gains = {n: np.array([float(get(f"laws[0].laws[{i}].law.{n}")) for i in (0, 1)])
+             for n in ("K_p", "K_i")}  # fmt: skip
+    alphas = [float(get(n)) for n in ("alpha_j", "alpha_a", "alpha_v")]
+    lead = torque_loop.Lead(*(float(get(f"laws[0].laws[0].{n}")) for n in ("zero", "pole")))
+    law = TorqueLaw(gains["K_p"], gains["K_i"], *alphas, lead=lead)
+    law = replace(law, derivatives=torque_loop.Butterworth(50.0 * paper.HZ, 3))
+    at = (np.arange(24) + 0.5) * np.pi / 12.0 - np.pi
+    for q1, q12 in np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2).tolist():
+        system = arm_with(payload, q1, q12 - q1)
+        definite = bool(np.linalg.eigvalsh(system.K_L).min() > 0.0)
+        assert definite == (np.cos(q1) > 0.0 and np.cos(q12) > 0.0)
+        assert (abscissa(torque_dynamics(system, law)) < 0.0) == definite
+        twice = law.scaled(10.0**0.3)  # 6 dB
+        assert not definite or abscissa(torque_dynamics(system, twice)) < 0.0
