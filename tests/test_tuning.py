@@ -303,6 +303,46 @@ def test_an_impossible_drive_is_named_and_the_rest_is_tuned(tmp_path: Path) -> N
     assert session.best().rank[0] == 0.0  # the limits hold on those that run
 
 
+def test_a_working_set_ends_with_limits_that_hold_on_all_drives(tmp_path: Path) -> None:
+    spread = {"half_gap": "30 %", "J_L": "30 %"}
+    drives = {"count": 64, "screen": 2, "working": 3, "check": 50, "spread": spread}
+    what = study(limits={"largest_torque_Nm": 1.6}, drives=drives)
+    session = searched(what, tmp_path)
+    result = conclude(session)
+    # On the three drives of the beginning the limit would have been kept by a law that breaks it.
+    assert 3 < len(session.drives) < 64
+    assert max(session.drives) >= 3
+    assert result.feasible
+    assert len(result.drives) == 64
+    assert result.after.values["largest_torque_Nm"].max() <= 1.6
+
+    found = result.check
+    assert found is not None
+    fresh = Problem(what, session.spec._replace(count=51, seed=1))
+    law = space.with_gains(what.law, session.spec.free, result.gains)
+    torques = [
+        float(simulate(fresh.drive(i), law, what.scenario, store=None).metrics["largest_torque_Nm"])
+        for i in range(1, 51)
+    ]
+    assert found.count == 50
+    assert found.broken == {"largest_torque_Nm <= 1.6": sum(t > 1.6 for t in torques)}
+    value, where = found.worst["largest_torque_Nm <= 1.6"]
+    assert value == pytest.approx(max(torques), rel=1e-6)
+    assert where == fresh.label(1 + int(np.argmax(torques)))
+    assert any("of 50 fresh drives" in line for line in sentences(session, result))
+
+
+def test_a_mean_is_taken_over_the_sample_and_a_worst_case_over_all() -> None:
+    values = np.array([1.0, 3.0, 8.0]).reshape(3, 1, 1)
+    slopes = np.array([10.0, 30.0, 80.0]).reshape(3, 1, 1, 1)
+    objective = Objective((Goal("a", 1.0, "mean"),), (Limit("a", 2.0, "worst"),))
+    local = localise(objective, ("a",), values, slopes, np.array([True, True, False]))
+    assert local.goals[0].values == pytest.approx([2.0])
+    assert local.goals[0].slopes == pytest.approx(np.array([[20.0]]))
+    assert local.limits[0].values.max() == pytest.approx(3.0 + RESERVE)
+    assert local.limits[0].source.tolist() == [0, 1, 2]
+
+
 def test_interrupt_keeps_a_loadable_law_and_resume_ends_where_it_would_have(
     finished: Session, tmp_path: Path
 ) -> None:
@@ -385,6 +425,11 @@ def test_command_writes_law_tables_and_plots(tmp_path: Path) -> None:
     law = load(str(file), law=str(out / "law.toml")).law
     for name in ("K_B", "K_P"):
         assert float(tree.get(law, name)) == gains[name]["after"]
+
+    again = CliRunner().invoke(app, ["tune", str(file), "--out", str(out)])
+    assert again.exit_code != 0
+    assert "must not hold results already" in again.output
+    assert gains == json.loads((out / "result.json").read_text())["gains"]
 
 
 def test_an_interrupt_that_a_callback_swallows_is_noted() -> None:

@@ -51,19 +51,26 @@ class Local(NamedTuple):
 
 
 def localise(
-    objective: Objective, names: tuple[str, ...], values: np.ndarray, slopes: np.ndarray
+    objective: Objective,
+    names: tuple[str, ...],
+    values: np.ndarray,
+    slopes: np.ndarray,
+    sample: np.ndarray | None = None,
 ) -> Local:
     """The objective at one law.
 
     values: (drives, cases, metrics); slopes: (drives, cases, metrics, P); names: of the metrics;
-    a case is an axis in a scenario.
+    a case is an axis in a scenario. sample (drives,): those that stand for all in a mean or a
+    quantile; the others are there because they are bad.
     """
-    source = np.repeat(np.arange(len(values)), values.shape[1])
 
     def rows(metric: str, over: Over, sign: float = 1.0) -> Rows:
         at = names.index(metric)
-        own = sign * values[..., at].reshape(-1), sign * slopes[..., at, :].reshape(len(source), -1)
-        return _over(*own, source, over)
+        whole = sample is None or over == "worst"
+        chosen = np.arange(len(values)) if whole else np.flatnonzero(sample)
+        source = np.repeat(chosen, values.shape[1])
+        rates = slopes[chosen][..., at, :].reshape(len(source), -1)
+        return _over(sign * values[chosen][..., at].reshape(-1), sign * rates, source, over)
 
     return Local(
         tuple(rows(g.metric, g.over)._replace(factor=g.weight) for g in objective.goals),

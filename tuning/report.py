@@ -111,6 +111,7 @@ def _content(
             | {"worst_drive": session.problem.label(v.drive, v.scenario), "price": v.price}
             for v in result.verdicts
         ],
+        "fresh_drives": None if result.check is None else result.check._asdict(),
         "metrics": {
             name: {"before": before._asdict(), "after": after._asdict()}
             for name, (before, after) in table.items()

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxsim.objective import Limit
 from tuning import certificate as certificates
-from tuning import space
+from tuning import space, working
 from tuning.certificate import Case, Certificate
 from tuning.local import localise, size
 from tuning.problem import Problem
@@ -60,7 +60,7 @@ class Result(NamedTuple):
     decides; certificate: on them. before, after: scores of the study's law
     and of the tuned one at the study's dt; finer: of the tuned one at dt/2, metrics of the
     objective only. searched: its cost as the search had it (on fewer drives if it was interrupted
-    early).
+    early). check: of the tuned law on fresh drives, where the study asks for it.
     """
 
     law: Any
@@ -76,6 +76,7 @@ class Result(NamedTuple):
     searched: float
     status: str
     reason: str
+    check: working.Check | None
 
     @property
     def feasible(self) -> bool:
@@ -128,6 +129,7 @@ def conclude(session: Session) -> Result:
         searched=state.best_local.cost * session.unit,
         status="interrupted" if session.interrupted else state.status,
         reason="" if session.interrupted else state.reason,
+        check=None if session.interrupted else working.check(problem, gains),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxsim.errors import InputError
 from jaxsim.study import Study
-from tuning import checkpoint, solver, space
+from tuning import checkpoint, solver, space, working
 from tuning.local import Local, localise
 from tuning.problem import Outcome, Problem
 from tuning.solver import FAILED, RUNNING, SPENT, State
@@ -131,7 +131,7 @@ class Session:
         elif self.stage == SCREEN:
             self._open_full()
             self._record([True] * len(self.states))
-        else:
+        elif not self._widen():
             self.done = True
 
     def _open(self, states: list[State]) -> None:
@@ -162,7 +162,7 @@ class Session:
         """Indices of the drives of this stage."""
         known = np.array([i for i in range(self.spec.count) if i not in self.excluded])
         if self.stage == FULL:
-            return known
+            return known[(known < self.spec.working) | np.isin(known, self.drives)]
         return known[space.spanning(self.problem.drives[known], self.spec.screen)]
 
     def _open_full(self) -> None:
@@ -179,6 +179,25 @@ class Session:
         ranked = sorted(self.states, key=lambda s: s.rank)
         self.states = [s for s in ranked if s.status != FAILED][: self.spec.finalists]
 
+    def _widen(self) -> bool:
+        """Take drives up on which the best law breaks a limit; whether there are any.
+
+        Values alone cost a twentieth of values with Jacobians: so all drives can be looked at
+        between two searches on a few.
+        """
+        best = self.best()
+        known = np.array([i for i in range(self.spec.count) if i not in self.excluded])
+        rest = np.setdiff1d(known, self.drives)
+        if not len(rest) or best.status in (FAILED, SPENT):
+            return False
+        worse = working.worse(self.problem, best, rest)
+        if not len(worse):
+            return False
+        self.drives = np.concatenate([self.drives, worse])
+        self._open([dataclasses.replace(_second(best), iterations=best.iterations)])
+        self._record([True])
+        return True
+
     def _look(self, points: np.ndarray) -> list[Local | str]:
         return self._locals(self.problem.evaluate(points, self.drives))
 
@@ -190,7 +209,8 @@ class Session:
             if trouble:
                 found.append(trouble)
                 continue
-            local = localise(self.spec.objective, self.problem.metrics, values, slopes)
+            sample = self.drives < self.spec.working if self.stage == FULL else None
+            local = localise(self.spec.objective, self.problem.metrics, values, slopes, sample)
             goals = tuple(g._replace(factor=g.factor / self.unit) for g in local.goals)
             found.append(local._replace(goals=goals))
         return found

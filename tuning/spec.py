@@ -46,7 +46,9 @@ class Spec(NamedTuple):
     count: drives, the study's own among them. starts: of the search, the study's own law among
     them. screen: drives on which all starts are tried before the best `finalists` see all.
     iterations: at most so many on all drives, half as many before. tolerance: a step shorter than
-    this, on the unit cube of the bounds, ends a start. seed: of drives and starts.
+    this, on the unit cube of the bounds, ends a start. seed: of drives and starts. working: the
+    drives that the last stage begins with; those that break a limit join them. check: drives
+    drawn afresh on which the tuned law is tried at the end.
     """
 
     free: tuple[Free, ...]
@@ -59,6 +61,8 @@ class Spec(NamedTuple):
     tolerance: float
     seed: int
     objective: Objective
+    working: int
+    check: int
 
 
 class _Tune(BaseModel):
@@ -84,6 +88,8 @@ class _Drives(BaseModel):
     model_config = ConfigDict(extra="forbid")
     count: int = Field(ge=1, default=1)
     screen: int = Field(ge=1, default=8)
+    working: int | None = Field(ge=1, default=None)
+    check: int = Field(ge=0, default=0)
     spread: dict[str, Any] = {}
 
 
@@ -107,6 +113,7 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
     if (drives.count > 1) != bool(spreads):
         got = f"count = {drives.count}, spread = {drives.spread}"
         raise InputError("tune.drives", "needs both count > 1 and spread", got, "give both")
+    _check_drives(drives, study.objective)
     return Spec(
         free=tuple(_free(study.law, name, v) for name, v in main.free.items()),
         spreads=spreads,
@@ -118,7 +125,19 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
         tolerance=main.tolerance,
         seed=main.seed,
         objective=study.objective,
+        working=min(drives.working or drives.count, drives.count),
+        check=drives.check,
     )
+
+
+def _check_drives(drives: _Drives, objective: Objective) -> None:
+    """A working set knows the worst drives, not how many are bad; fresh drives need a spread."""
+    if drives.check and not drives.spread:
+        raise InputError("tune.drives.check", "needs a spread", "none", "give spread")
+    sampled = [x.metric for x in objective.limits if x.over != "worst"]
+    if drives.working and sampled:
+        fix = 'leave working out, or take over = "worst"'
+        raise InputError("tune.drives.working", "needs limits on the worst case", sampled, fix)
 
 
 def _free(law: Any, name: str, given: Any) -> Free:
@@ -204,5 +223,7 @@ def describe(spec: Spec) -> Mapping[str, Any]:
         "iterations": spec.iterations,
         "tolerance": spec.tolerance,
         "seed": spec.seed,
+        "working": spec.working,
+        "check": spec.check,
         "objective": [list(map(list, part)) for part in spec.objective],
     }

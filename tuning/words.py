@@ -9,6 +9,7 @@ import numpy as np
 from jaxsim.hybrid import Exact
 from jaxsim.objective import Goal
 from jaxsim.status import Status
+from tuning import working
 from tuning.local import size
 from tuning.result import Result, Verdict
 from tuning.session import FULL, Session
@@ -60,7 +61,7 @@ def sentences(session: Session, result: Result) -> list[str]:
     lines = [headline(result)]
     lines += [_goal(session, result, g) for g in session.spec.objective.goals]
     lines += [_limit(session, result, v) for v in result.verdicts]
-    lines.append(_cost(session, result))
+    lines += [*working.sentences(result.check), _cost(session, result)]
     lines += [_certified(session, result), *_model(session, result)]
     lines += [f"Left out, {label(i)}: {why}." for i, why in session.excluded.items()]
     for k, c in np.argwhere(result.after.status):
