@@ -14,6 +14,7 @@ help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: .venv/.core  ## Tune the bench's gains over 64 drives; table and plots in results/demo
+	@rm -rf results/demo  # tune overwrites no results
 	$(BIN)/gearlash tune bench_switched --out results/demo
 
 test: .venv/.test  ## Run the tests that are not marked slow

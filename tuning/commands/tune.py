@@ -39,12 +39,18 @@ def command(
     spec = read_spec(what, starts=starts, seed=seed)
     beside = Beside(what, spec, front, plane)
     make_folder("--out", out)
+    if not resume:
+        _refuse_finished(out)
     session = sessions.Session(what, spec, out / "checkpoint.json")
     console = Console()
     if resume:
         with console.status("Taking up the search ..."):
             sessions.resume(session)
-    _search(session, console)
+    try:
+        _search(session, console)
+    except KeyboardInterrupt:
+        console.print("Interrupted before any law was evaluated: no checkpoint yet, start anew.")
+        raise typer.Exit(130) from None
     try:
         result = _conclude(session, out, console)
         if not session.interrupted:
@@ -57,6 +63,18 @@ def command(
         raise typer.Exit(130)
     if not result.feasible:
         raise typer.Exit(1)
+
+
+def _refuse_finished(out: Path) -> None:
+    """Results that took minutes are not overwritten.
+
+    Raises: InputError where the folder holds those of a tuning.
+    """
+    from jaxsim.errors import InputError
+
+    if (out / "result.json").exists():
+        fix = "name another folder, or go on from this one with --resume"
+        raise InputError("--out", "must not hold results already", f"{out}/result.json", fix)
 
 
 class Beside:
