@@ -1,0 +1,56 @@
+"""`gearlash export`: from a study to the machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def command(
+    kind: Annotated[str, typer.Argument(help="c: the law as C99.")],
+    study: Annotated[str, typer.Argument(help="Study file, or the name of a shipped study.")],
+    out: Annotated[Path, typer.Option(help="Folder for law.c and law.h.")],
+    law: Annotated[str | None, typer.Option(help="File to take the law from.")] = None,
+    period: Annotated[str | None, typer.Option(help='Of a continuous law, e.g. "400 us".')] = None,
+    single: Annotated[bool, typer.Option("--float", help="float instead of double.")] = False,
+) -> None:
+    """Write a law as C99 for the machine that runs it."""
+    import jaxsim
+
+    jaxsim.configure()
+    from rich.console import Console
+
+    from jaxsim.errors import InputError
+    from jaxsim.study import load
+
+    if kind != "c":
+        raise InputError.unknown("kind", kind, ("c",))
+    words = _c(load(study, law=law), out, period, single)
+    Console().print("\n".join(words), soft_wrap=True)
+
+
+def _c(study: Any, out: Path, period: str | None, single: bool) -> list[str]:
+    from jaxsim.export.c_code import sampled_at, write_c
+    from jaxsim.provenance import make_folder, provenance
+    from jaxsim.quantity import to_si
+
+    every = None if period is None else float(to_si(_number(period), "s", "--period"))
+    law = sampled_at(study.law, every)
+    make_folder("--out", out)
+    ratios = tuple(float(t.ratio) for t in study.drive.transmission)
+    about = {"study": study.name, **provenance(dtype="float32" if single else "float64")}
+    step = write_c(out, law, ratios, about, single=single)
+    return [
+        f"Wrote law.h and law.c to {out}: one step every {law.period:g} s",
+        f"readings: {', '.join(step.readings)}",
+        f"memory: {len(step.memory)} numbers; gains: {', '.join(g.name for g in step.gains)}",
+    ]
+
+
+def _number(text: str) -> Any:
+    try:
+        return float(text)
+    except ValueError:
+        return text

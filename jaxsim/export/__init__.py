@@ -1,0 +1,1 @@
+"""From a law in Python to the machine it runs on."""
