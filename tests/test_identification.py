@@ -27,6 +27,7 @@ from tuning.identification.robust import Huber, SoftL1, Squares
 from tuning.identification.session import identify
 from tuning.identification.spec import read_spec
 from tuning.identification.unknowns import Unknowns, free
+from tuning.identification.watch import trend
 from tuning.log import read_log
 
 WRONG = 0.3  # share by which starts are off, either way
@@ -318,3 +319,62 @@ def test_experiments_must_measure_the_same() -> None:
     second: Experiment = first._replace(measurements=first.measurements[:1])
     with pytest.raises(InputError, match="must measure the same signals"):
         Problem([first, second], logs.unknown(first), dt=2e-4)
+
+
+def test_a_trend_is_told_from_scatter() -> None:
+    """Ten logs; a rise of half an error per log, none at all, and one beyond its limit."""
+    error = np.full(10, 0.1)
+    noise = 0.1 * np.random.default_rng(2).standard_normal(10)
+    rising = trend("half_gap", "mrad", 7.8 + 0.05 * np.arange(10) + noise, error, 8.5, 0.95)
+    # By the formula of a weighted line: 0.1 / sqrt(sum of (i - 4.5)^2) = 0.1 / sqrt(82.5).
+    assert rising.slope_deviation == pytest.approx(0.1 / np.sqrt(82.5), rel=0.3)
+    assert abs(rising.slope - 0.05) < 3.0 * rising.slope_deviation
+    assert "rises by" in rising.alarm
+    still = trend("half_gap", "mrad", 7.8 + noise, error, 8.5, 0.95)
+    assert still.alarm == ""
+    assert still.p > 0.05
+    above = trend("half_gap", "mrad", 9.0 + noise, error, 8.5, 0.95)
+    assert "is above" in above.alarm
+
+
+@pytest.mark.slow
+def test_watch_raises_the_alarm_when_the_gap_grows(folder: Path) -> None:
+    for i in range(4):
+        worn = tree.replace(bench_2018(), {"half_gap": logs.TRUTH[0] * (1.0 + 0.04 * i)})
+        logs.write_csv(folder / f"w{i}.csv", logs.chirp(), worn, seed=i)
+    head = logs.STUDY.partition("[[identify.experiments]]")[0]
+    section = '[identify.watch]\nhalf_gap = "8.6 mrad"\n[[identify.experiments]]\nlog = "w*.csv"\n'
+    (folder / "watch.toml").write_text(head + section, "utf-8")
+    out = folder / "watched"
+    done = CliRunner().invoke(app, ["watch", str(folder / "watch.toml"), "--out", str(out)])
+    assert done.exit_code == 2, done.output
+    gap, *others = json.loads((out / "result.json").read_text("utf-8"))["trends"]
+    np.testing.assert_allclose(
+        gap["values"], logs.TRUTH[0] * (1.0 + 0.04 * np.arange(4)), rtol=1e-3
+    )
+    assert "is above" in gap["alarm"]
+    assert [t["alarm"] for t in others] == ["", "", ""]
+
+
+@pytest.mark.slow
+def test_a_designed_experiment_keeps_the_limit_and_beats_the_others(folder: Path) -> None:
+    text = logs.STUDY.replace('unit = "deg"', 'unit = "deg", noise = "2 urad"')
+    text = text.replace("counts = 1048576", 'counts = 1048576, noise = "2 urad"')
+    text += (
+        '[identify.design]\nlimit = 1.5\nduration = "0.3 s"\nperiod = "1 ms"\njoint_torque = 1.5\n'
+    )
+    (folder / "design.toml").write_text(text, "utf-8")
+    out = folder / "designed"
+    done = CliRunner().invoke(
+        app, ["design-experiment", str(folder / "design.toml"), "--out", str(out)]
+    )
+    assert done.exit_code == 0, done.output
+    table = pl.read_csv(out / "candidates.csv")
+    best = table.row(0, named=True)
+    assert best["peak [Nm]"] <= 1.5
+    assert best["crosses"]
+    kept = table.filter(pl.col("why").fill_null("") == "")
+    assert best["worst"] == kept["worst"].min()
+    assert "joint torque above 1.5 Nm" in table["why"].to_list()
+    excitation = read_log(out / "excitation.csv").columns
+    assert np.abs(excitation["command [Nm]"]).max() <= 1.5

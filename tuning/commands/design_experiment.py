@@ -12,7 +12,7 @@ def command(
     study: Annotated[str, typer.Argument(help="Study file with [identify] and [identify.design].")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
 ) -> None:
-    """Rank chirps, multisines, sines and square waves by the information they would give.
+    """Rank chirps, multisines, sines and square waves by the errors they would leave.
 
     Writes excitation.csv (time and command of the best), candidates.csv, result.json and a plot.
     Expected at the study's own values: design, measure, identify, and design again.
@@ -34,11 +34,11 @@ def command(
         ranked, problem, times = design.design(what, spec)
     _write(what, ranked, problem, times, out)
     names = problem.unknowns.names
-    table = Table("excitation", *(f"{n} +-" for n in names), "crosses", "peak [Nm]", "remark")
+    table = Table(*(f"{n} +-" for n in names), "peak [Nm]", "gap", "remark", "excitation")
     for r in ranked[: what.section("identify")["design"].get("shown", 8)]:
         errors = (f"{d:.2g}" for d in r.deviation)
-        both = "yes" if r.crosses else "no"
-        table.add_row(r.candidate.name, *errors, both, f"{r.peak:.3g}", r.reason)
+        both = "crossed" if r.crosses else "not crossed"
+        table.add_row(*errors, f"{r.peak:.3g}", both, r.reason, r.candidate.name)
     console.print(table)
     console.print(
         f"Wrote excitation.csv, candidates.csv, result.json, best.png: {out}", markup=False
@@ -57,11 +57,11 @@ def _write(study: Any, ranked: Any, problem: Any, times: Any, out: Path) -> None
     rows = zip(times, best.candidate.samples, strict=True)
     write_csv(out / "excitation.csv", ("time [s]", f"command [{unit}]"), rows)
     names = problem.unknowns.names
-    head = ("excitation", "score", *(f"error of {n}" for n in names), "crosses", "peak [Nm]", "why")
+    head = ("excitation", "worst", *(f"error of {n}" for n in names), "crosses", "peak [Nm]", "why")
     write_csv(
         out / "candidates.csv",
         head,
-        ((r.candidate.name, r.score, *r.deviation, r.crosses, r.peak, r.reason) for r in ranked),
+        ((r.candidate.name, r.worst, *r.deviation, r.crosses, r.peak, r.reason) for r in ranked),
     )
     expected = dict(zip(names, np.asarray(best.deviation).tolist(), strict=True))
     content = {"best": best.candidate.name, "expected_errors": expected, "crosses": best.crosses}

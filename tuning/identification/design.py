@@ -52,24 +52,25 @@ class Ranked(NamedTuple):
     """One candidate judged.
 
     deviation: (P,) expected standard errors in SI units, inf where the log would not show an
-    unknown; score: log det of the information about relative changes; peak: largest joint torque,
-    Nm; crosses: whether both walls of the play are touched.
+    unknown; worst: the largest of them as a share of its unknown's size; peak: largest joint
+    torque, Nm; crosses: whether both walls of the play are touched.
     """
 
     candidate: Candidate
     deviation: np.ndarray
-    score: float
+    worst: float
     peak: float
     crosses: bool
     reason: str
 
 
 def design(study: Study, spec: Spec) -> tuple[list[Ranked], Problem, np.ndarray]:
-    """Candidates by falling information, those that break a limit last; and their times, s.
+    """Candidates by the largest relative error expected, those that break a limit last; times, s.
 
-    Expected at the values of the study: the criterion is D-optimality,
-    log det(sum over readings of J^T J / noise^2), derivatives by the logarithm of each unknown
-    (by half the width of its bounds for those of either sign).
+    Errors are those of (sum over readings of J^T J / noise^2)^-1 at the values of the study,
+    relative to an unknown's value (to half the width of its bounds for those of either sign).
+    Rejected: the determinant of that matrix. A run that grazes a wall is so sensitive in ONE
+    direction that it wins, with every single error five times larger.
 
     Raises: InputError where [identify.design] or the noise of a measured signal is missing.
     """
@@ -103,7 +104,7 @@ def _frequency(given: float | str | None, otherwise: float, name: str) -> float:
 def candidates(
     times: np.ndarray, limit: float, lowest: float, highest: float
 ) -> Iterator[Candidate]:
-    """Chirps, multisines (Schroeder's phases), sines and square waves at several levels.
+    """Chirps, multisines (Schroeder's phases), sines and square waves at shares of the limit.
 
     Raises: InputError unless 0 < lowest < highest.
     """
@@ -113,16 +114,16 @@ def candidates(
     starts = np.geomspace(lowest, highest, _BANDS + 1)[:-1]
     for level in _LEVELS:
         size = level * limit
-        told = f"{100 * level:.0f} % of the limit"
+        told = f"{100 * level:.0f} %"
         for f in starts:
             angle = 2.0 * np.pi * f * times
             yield Candidate(f"sine {f:.3g} Hz, {told}", size * np.sin(angle))
             yield Candidate(f"square {f:.3g} Hz, {told}", size * np.where(np.sin(angle) < 0, -1, 1))
             rate = (highest - f) / times[-1]
             swept = size * np.sin(angle + np.pi * rate * times**2)
-            yield Candidate(f"chirp {f:.3g} to {highest:.3g} Hz, {told}", swept)
+            yield Candidate(f"chirp {f:.3g}-{highest:.3g} Hz, {told}", swept)
             mixed = _multisine(times, np.geomspace(f, highest, _LINES))
-            name = f"multisine {f:.3g} to {highest:.3g} Hz, {told}"
+            name = f"multisine {f:.3g}-{highest:.3g} Hz, {told}"
             yield Candidate(name, size * mixed / np.abs(mixed).max())
 
 
@@ -179,15 +180,16 @@ def _ranked(problem: Problem, found: list[Candidate], allowed: float) -> list[Ra
             reason = Status(int(seen.status[i, 0])).words
         both = bool(crosses(seen.contact[i, 0]))
         ranked.append(Ranked(candidate, *_worth(J, sizes), peak, both, reason))
-    return sorted(ranked, key=lambda r: (r.reason != "", -r.score))
+    return sorted(ranked, key=lambda r: (r.reason != "", r.worst))
 
 
 def _worth(J: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, float]:
-    """Expected standard errors and the log det of the information of a log."""
+    """Expected standard errors in SI units, and the largest relative one; J by relative changes."""
+    lost = np.full(len(sizes), np.inf), np.inf
     if not np.isfinite(J).all():
-        return np.full(len(sizes), np.inf), -np.inf
+        return lost
     information = J.T @ J
-    sign, score = np.linalg.slogdet(information)
-    if sign <= 0.0:
-        return np.full(len(sizes), np.inf), -np.inf
-    return sizes * np.sqrt(np.diag(np.linalg.inv(information))), float(score)
+    if np.linalg.cond(information) > 1e14:
+        return lost
+    relative = np.sqrt(np.diag(np.linalg.inv(information)))
+    return sizes * relative, float(relative.max())
