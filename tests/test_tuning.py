@@ -393,11 +393,19 @@ def test_resume_needs_the_checkpoint_of_the_same_problem(finished: Session, tmp_
         ({"drives": {"count": 4, "spread": {"K": 0.2}}}, r"spread\.K: must be relative"),
         ({"drives": {"count": 4, "spread": {"K": "-5 %"}}}, "must be > 0 %"),
         ({"drives": {"count": 4}}, "both count > 1 and spread"),
+        ({"drives": {"check": 4}}, r"drives\.check: needs a spread"),
     ],
 )
 def test_mistakes_in_the_study_are_one_clear_message(tune: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_spec(study(**tune))
+
+
+def test_a_working_set_with_a_limit_on_a_quantile_is_refused() -> None:
+    limits: Any = {"largest_torque_Nm": {"most": 1.5, "over": 0.9}}
+    drives = {"count": 8, "working": 2, "spread": {"K": "5 %"}}
+    with pytest.raises(InputError, match="needs limits on the worst case"):
+        read_spec(study(limits=limits, drives=drives))
 
 
 def test_a_start_that_cannot_be_evaluated_anywhere_is_said_so(

@@ -149,7 +149,10 @@ def _search(session: Any, console: Any) -> None:
     )
     spec = session.spec
     names = {"screen": f"{spec.starts} starts, {spec.screen} drives"}
-    names["full"] = f"best starts, {spec.count} drives" if spec.screen < spec.count else "search"
+    names["full"] = "search"
+    if spec.screen < spec.count:
+        few = f"{spec.working} of " if spec.working < spec.count else ""
+        names["full"] = f"best starts, {few}{spec.count} drives"
     tasks: dict[str, Any] = {}
     with Progress(*columns, console=console) as bar:
         waiting = bar.add_task("compiling", total=1, best="")
