@@ -160,7 +160,11 @@ def _certified(session: Session, result: Result) -> str:
 
 def _model(session: Session, result: Result) -> list[str]:
     """Where fresh runs say another cost than the search had."""
-    again = result.after.cost(session.spec.objective)
+    spec = session.spec
+    if session.stage == FULL and spec.working < spec.count:
+        few = f"{spec.working} drives that stand for all in a mean"
+        return [f"The search ran on {few}, {len(session.drives)} with those next to a limit."]
+    again = result.after.cost(spec.objective)
     if session.stage != FULL or abs(again - result.searched) <= _SAME * abs(again):
         return []
     model = "" if isinstance(session.study.run.deadzone, Exact) else " (it was not exact)"
