@@ -14,14 +14,17 @@ import pytest
 from scipy.optimize import least_squares
 from typer.testing import CliRunner
 
-from jaxsim import tree
+from jaxsim import simulate, tree
 from jaxsim.command import app
 from jaxsim.drives.bench_2018 import bench_2018
 from jaxsim.errors import InputError
+from jaxsim.laws.feedforward import Feedforward
+from jaxsim.scenario import Scenario
+from jaxsim.signals.multisine import Multisine
 from jaxsim.study import from_table
 from tuning.identification import uncertainty
 from tuning.identification.estimator import fit
-from tuning.identification.experiment import Experiment
+from tuning.identification.experiment import Experiment, measurement
 from tuning.identification.residuals import Problem
 from tuning.identification.robust import Huber, SoftL1, Squares
 from tuning.identification.session import identify
@@ -75,6 +78,25 @@ def test_two_hundred_benches_and_honest_intervals(signals: tuple[str, ...]) -> N
     # 200 fits: a true coverage of 95 % lies within 90 to 98 % but for one case in a thousand.
     coverage = found.inside[arrived].mean(axis=0)
     assert np.all((coverage >= 0.90) & (coverage <= 0.98)), coverage
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [0.7, 1.3])
+def test_the_slow_sine_of_figure_2_gives_the_half_gap(wrong: float) -> None:
+    """Issue 5, line 1: 5 mNm at 0.2 Hz, both encoders, no torque sensor; 7.80 mrad in the paper."""
+    dt = 4e-4
+    asked = Scenario(Multisine([5e-3], [0.2], [0.0]), duration=10.0)
+    run = simulate(bench_2018(), Feedforward(), asked, dt=dt, metrics=(), store=50)
+    times = np.asarray(run.time)[1:]
+    angles = tuple(
+        measurement(name, times, logs.quantised(run.signals[name])[1:], logs.COUNT / np.sqrt(12.0))
+        for name in ("theta_M", "theta_L")
+    )
+    log = Experiment("sine", bench_2018(), Feedforward(), asked, angles)
+    problem = Problem([log], [free(log, "half_gap", 2e-3, 3e-2)], dt=dt)
+    found = fit(problem, np.array([[wrong * 7.8e-3]]))
+    assert found.converged[0]
+    assert found.values[0, 0] == pytest.approx(7.80e-3, abs=5e-6)  # half of the last digit
 
 
 def _problem() -> Problem:
