@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import itertools
 import json
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -139,9 +140,8 @@ def _spread(
         return future
 
     abreast = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-    ready = as_completed(
-        [submit(k) for k, _ in zip(waiting, range(abreast), strict=False)], with_results=True
-    )
+    first = [submit(k) for k in itertools.islice(waiting, abreast)]
+    ready = as_completed(first, with_results=True)
     for future, arrays in ready:
         following = next(waiting, None)
         if following is not None:
