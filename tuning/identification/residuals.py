@@ -27,6 +27,7 @@ _ON_TICK = 1e-6
 # Runs in one portion: enough for two cores; what the rest of a portion costs is soon more than
 # what a larger one saves.
 _LANES = 128
+_KEPT = 16  # portions whose arrays stay on the device
 
 
 class Readings(eqx.Module):
@@ -79,6 +80,7 @@ class Problem:
             fix = "fit them apart"
             raise InputError("experiments", "must measure the same signals", sorted(kinds), fix)
         self.experiments, self.dt = tuple(experiments), dt
+        self._kept: dict[Any, tuple[Batch, Batch]] = {}
         self.lanes = min(width * len(self.experiments), _LANES)
         self.unknowns = Unknowns(tuple(free), tuple(e.name for e in experiments))
         self.models, self.axes = _stacked(_alike([model_of(e) for e in experiments], dt))
@@ -100,6 +102,7 @@ class Problem:
 
     def reweigh(self, factor: np.ndarray) -> None:
         """Multiply the noise that is assumed of each signal by a factor (signals,)."""
+        self._kept.clear()
         noise = self.readings.noise * factor
         self.readings = Readings(
             self.readings.times, self.readings.values, noise, self.readings.used
@@ -127,22 +130,32 @@ class Problem:
         residuals, jacobian, status, contact = (v.reshape(*who.shape, *v.shape[1:]) for v in parts)
         return Evaluation(residuals, np.moveaxis(jacobian, 2, -1), status, contact)
 
+    def _portion(self, who: np.ndarray, horizon: float) -> tuple[Batch, Batch]:
+        """Trees and readings of some runs, on the device.
+
+        The last ones are kept: a fit asks for the same ones in every iteration, and to move some
+        thirty small arrays takes as long as to simulate a short log.
+        """
+        key = (who.tobytes(), horizon)
+        if key not in self._kept:
+            readings = self.readings if horizon >= 1.0 else _until(self.readings, horizon)
+            mine = jax.tree.map(lambda v: v[who], readings)
+            trees = _picked(self.models, self.axes, who), Batch(mine, (True,) * 4, len(who))
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            self._kept[key] = jax.tree.map(jnp.asarray, trees)
+        return self._kept[key]
+
     def _members(
         self, how: _How, who: np.ndarray, values: np.ndarray, scale: np.ndarray, horizon: float
     ) -> list[np.ndarray]:
         """The parts of an evaluation, one row per run, in portions of `lanes` runs."""
-        readings = self.readings if horizon >= 1.0 else _until(self.readings, horizon)
         pieces = []
         for at in range(0, len(who), self.lanes):
             rows = np.minimum(np.arange(at, at + self.lanes), len(who) - 1)
             kept = min(self.lanes, len(who) - at)
-            members = (
-                _picked(self.models, self.axes, who[rows]),
-                Batch(jax.tree.map(lambda v: v[who[rows]], readings), (True,) * 4, self.lanes),  # noqa: B023
-                Batch(values[rows], (True,), self.lanes),
-                Batch(scale[rows], (True,), self.lanes),
-            )
-            piece = batch.gathered(_members(how, *members))
+            own = (Batch(v[rows], (True,), self.lanes) for v in (values, scale))
+            piece = batch.gathered(_members(how, *self._portion(who[rows], horizon), *own))
             pieces.append([np.asarray(v)[:kept] for v in piece])
         return [np.concatenate(v) for v in zip(*pieces, strict=True)]
 
