@@ -1,0 +1,115 @@
+"""Real machines: load friction, the servo's firmware, late signals, the recordings of others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxsim
+from jaxsim.drive import Drive
+from jaxsim.drives.emps import emps
+from jaxsim.laws.cascade import Cascade
+from jaxsim.laws.feedforward import Feedforward
+from jaxsim.laws.servo import Servo
+from jaxsim.loads.inertia import Inertia
+from jaxsim.loads.pendulum import Pendulum
+from jaxsim.motors.geared import Geared
+from jaxsim.scenario import Scenario, Start
+from jaxsim.signals.constant import Constant
+from jaxsim.signals.delayed import Delayed
+from jaxsim.signals.samples import Samples
+from jaxsim.signals.step import Step
+from jaxsim.transmissions.elastic import Elastic
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+EMPS = DATA / "emps_positioning" / "DATA_EMPS_PULSES.mat"
+SETTLED = 1e-5  # Nm and rad: what is left of the ringing after the time that a test waits
+
+
+def hanging(driven: float, torque: float = 0.0) -> jaxsim.Run:
+    """A geared pendulum let go at 1 rad: 1 Nm sin(1 rad) on a gear, and a torque at the motor."""
+    drive = Drive(
+        Geared(J_M=0.02, driven=driven, driving=0.1, D_M=0.5),
+        Elastic(K=300.0, D_B=1.0),
+        Pendulum(mass=1.0, length=1.0 / 9.81),
+    )
+    wound = np.sin(1.0) / 300.0
+    start = Start(theta_L=1.0, theta_B=wound)
+    scenario = Scenario(Constant(torque), start=start, duration=1.0)
+    return jaxsim.simulate(drive, Feedforward(), scenario, dt=1e-3, metrics=())
+
+
+def test_a_gear_holds_what_it_gives_back_less_than_nothing_of() -> None:
+    """driven > 1 locks: |T| friction exceeds T. driven = 0.5 lets the load fall."""
+    assert abs(hanging(1.01).signals["theta_L"][-1] - 1.0) < SETTLED
+    assert hanging(0.5).signals["theta_L"][-1] < 0.8
+
+
+@pytest.mark.parametrize(("share", "moves"), [(1.09, False), (1.12, True)])
+def test_lifting_takes_the_load_and_its_friction(share: float, moves: bool) -> None:
+    """At rest under sin(1) Nm, the motor lifts above (1 + driving) sin(1) = 1.1 sin(1)."""
+    run = hanging(1.2, share * float(np.sin(1.0)))
+    assert (run.signals["theta_L"][-1] > 1.0 + 1e-3) == moves
+
+
+def test_the_servo_steps_as_its_firmware_does() -> None:
+    """4 counts of error at k_p = 16: (4 - 1) 4 + 16 thousandths of 12 V, as its register reads."""
+    count = 2.0 * np.pi / 4096.0
+    law = Servo(K_T=0.5, D_E=1.0, k_p=16.0, slew=5.0)
+    stuck = Drive(Geared(J_M=0.02, Fc=1.0, Fs=1.0), Elastic(K=300.0), Inertia(J_L=0.01))
+    scenario = Scenario(Constant(4.0 * count), duration=0.02)
+    run = jaxsim.simulate(stuck, law, scenario, dt=1e-3, metrics=())
+    np.testing.assert_allclose(run.signals["command"][-1], 0.028 * 12.0 * 0.5, rtol=1e-9)
+
+
+def test_a_released_servo_neither_drives_nor_brakes() -> None:
+    """From the release on a frictionless rotor keeps its speed."""
+    law = Servo(K_T=0.5, D_E=1.0, k_p=16.0, slew=5.0, release=0.0305)
+    free = Drive(Geared(J_M=0.02), Elastic(K=300.0, D_B=0.5), Inertia(J_L=1e-4))
+    run = jaxsim.simulate(free, law, Scenario(Constant(1.0), duration=0.2), dt=1e-3, metrics=())
+    momentum = 0.02 * run.signals["omega_M"] + 1e-4 * run.signals["omega_L"]
+    np.testing.assert_allclose(momentum[40:], momentum[40], rtol=1e-9)
+    assert momentum[40] > 1e-3
+
+
+def test_a_delay_moves_a_step_and_its_derivative() -> None:
+    """A force step F late by tau: the speed at T is F (T - tau)/J, its slope by tau is -F/J."""
+    import jax
+
+    def speed(delay: float) -> jax.Array:
+        drive = Drive(Geared(J_M=1.0), Elastic(K=1e3, D_B=20.0), Inertia(J_L=1.0))
+        scenario = Scenario(Delayed(Step(2.0, 0.1), delay), duration=0.5)
+        run = jaxsim.simulate(drive, Feedforward(), scenario, dt=1e-3, metrics=(), throw=False)
+        return run.signals["omega_M"][-1] + run.signals["omega_L"][-1]
+
+    np.testing.assert_allclose(speed(0.0503), 2.0 * (0.4 - 0.0503), rtol=1e-9)
+    np.testing.assert_allclose(jax.jvp(speed, (0.0503,), (1.0,))[1], -2.0, rtol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not EMPS.exists(), reason="the EMPS recording is not in ../shared/data")
+def test_emps_under_pulses_agrees_with_the_recording() -> None:
+    """Published parameters: force within 7.4 % (published 8.94), position within 0.008 %."""
+    import scipy.io
+
+    log = {k: np.ravel(v) for k, v in scipy.io.loadmat(EMPS).items() if k[0] != "_"}
+    g_tau = float(log["gtau"][0])
+    law = Cascade(
+        k_p=float(log["kp"][0]), k_v=float(log["kv"][0]), gain=g_tau, limit=10.0, lag=1.27e-3
+    )  # lag: fitted to the other recording
+    pulses = g_tau * log["pulses_N"].astype(float)
+    scenario = Scenario(
+        Samples(log["qg"], 1e-3, "linear", on_ticks=True),
+        Samples(pulses, 1e-3, "hold", on_ticks=True),
+        start=Start(theta_L=log["qm"][0]),
+        duration=24.84,
+    )
+    drive = emps()
+    run = jaxsim.simulate(drive, law, scenario, dt=2.5e-4, metrics=(), store=4)
+    # The log's control signal holds the pulses that were added to it.
+    force, measured = run.signals["command"] + pulses, g_tau * log["vir"]
+    position = run.signals["theta_M"] - log["qm"]
+    assert np.linalg.norm(force - measured) < 0.074 * np.linalg.norm(measured)
+    assert np.linalg.norm(position) < 8e-5 * np.linalg.norm(log["qm"])
