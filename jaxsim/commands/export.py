@@ -1,4 +1,4 @@
-"""`gearlash export`: from a study to the machine."""
+"""`gearlash export`: from a study to the machine, or to another simulator."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import typer
 
 
 def command(
-    kind: Annotated[str, typer.Argument(help="c: the law as C99.")],
+    kind: Annotated[str, typer.Argument(help="c: the law as C99; mjcf: the drive for MuJoCo.")],
     study: Annotated[str, typer.Argument(help="Study file, or the name of a shipped study.")],
-    out: Annotated[Path, typer.Option(help="Folder for law.c and law.h.")],
+    out: Annotated[Path, typer.Option(help="c: folder for law.c and law.h; mjcf: file.")],
     law: Annotated[str | None, typer.Option(help="File to take the law from.")] = None,
     period: Annotated[str | None, typer.Option(help='Of a continuous law, e.g. "400 us".')] = None,
     single: Annotated[bool, typer.Option("--float", help="float instead of double.")] = False,
 ) -> None:
-    """Write a law as C99 for the machine that runs it."""
+    """Write a law as C99 for its target, or a drive as a MuJoCo model."""
     import jaxsim
 
     jaxsim.configure()
@@ -25,9 +25,10 @@ def command(
     from jaxsim.errors import InputError
     from jaxsim.study import load
 
-    if kind != "c":
-        raise InputError.unknown("kind", kind, ("c",))
-    words = _c(load(study, law=law), out, period, single)
+    if kind not in ("c", "mjcf"):
+        raise InputError.unknown("kind", kind, ("c", "mjcf"))
+    what = load(study, law=law)
+    words = _c(what, out, period, single) if kind == "c" else _mjcf(what, out)
     Console().print("\n".join(words), soft_wrap=True)
 
 
@@ -54,3 +55,12 @@ def _number(text: str) -> Any:
         return float(text)
     except ValueError:
         return text
+
+
+def _mjcf(study: Any, out: Path) -> list[str]:
+    from jaxsim.export.mjcf import write_mjcf
+    from jaxsim.provenance import make_folder, provenance
+
+    make_folder("--out", out.parent)
+    remarks = write_mjcf(out, study.drive, {"study": study.name, **provenance()})
+    return [f"Wrote {out}", *(f"not the same in MuJoCo: {words}" for words in remarks)]
