@@ -2,9 +2,11 @@
 
 The problem is the bench of `bench_switched` for one drive: least ITAE over 0.3 s with largest
 |T_s| <= 1.4 Nm and overshoot <= 3 %, four gains, 16 starts. The same search sees the exact, the
-plain or the smoothed model; CMA-ES (the library `cma`) sees values of the exact model, restarts
-from the same starts, and has the wall time of the exact search, compiling apart. A law that breaks
-a limit by more than 1e-4 of it counts as infeasible.
+plain or the smoothed model. CMA-ES (the library `cma`) sees values of the exact model; each of its
+eight runs, from the first eight starts, has the wall time of all sixteen of the exact search,
+compiling apart. A law that breaks a limit at all counts as infeasible: our search keeps 1e-4 of
+each bound in reserve, CMA-ES does not have to. The column `loose` is the best law where a limit
+may be broken by 1e-4 of itself.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from tuning.session import Session
 from tuning.spec import Spec, read_spec
 
 OUT = Path("results/bench/gradients_compared.json")
-STARTS = 16
+STARTS, CMA_RUNS = 16, 8
 MODELS: dict[str, Deadzone] = {"exact": Exact(), "plain": Plain(), "smoothed": Smoothed()}
 PENALTY = 10.0  # of a limit broken by its own size, in units of the study's cost
 
@@ -46,7 +48,8 @@ class Ends(NamedTuple):
 
     def row(self) -> dict[str, Any]:
         """Of the feasible laws the best and the median, infeasible ones counting as infinite."""
-        cost = np.where(self.broken <= RESERVE, self.cost, np.inf)
+        loose = np.where(self.broken <= RESERVE, self.cost, np.inf)
+        cost = np.where(self.broken <= 0.0, self.cost, np.inf)
         feasible = int(np.isfinite(cost).sum())
         best = self.gains[int(np.argmin(cost))].tolist()
         median = float(np.median(np.nan_to_num(cost, posinf=np.finfo(float).max)))
@@ -55,6 +58,7 @@ class Ends(NamedTuple):
             "starts": len(cost),
             "best": float(cost.min()),
             "median": median if median < 1e300 else None,
+            "best_loose": float(loose.min()),
             "seconds": self.seconds,
             "gains": best,
         }
@@ -96,15 +100,16 @@ def by_gradients(deadzone: Deadzone) -> Ends:
 
 
 def by_cma(seconds: float) -> Ends:
-    """CMA-ES from the starts in turn, until the time is over; its best law per start tried."""
+    """CMA-ES from the first starts, each until the time is over; its best law per run."""
     study, spec = problem()
     judge = Problem(study, spec)
     points = space.starting_points(study.law, spec)
     options = {"bounds": [0.0, 1.0], "verbose": -9, "popsize": STARTS}
     truth(judge, space.to_gains(spec.free, points))  # compiles
     unit = truth(judge, space.to_gains(spec.free, points[:1]))[0][0]
-    begun, ends = time.perf_counter(), []
-    for k, point in enumerate(points):
+    ends = []
+    for k, point in enumerate(points[:CMA_RUNS]):
+        begun = time.perf_counter()
         options["seed"] = spec.seed + k + 1
         search = cma.CMAEvolutionStrategy(point, 0.2, options)
         best = (np.inf, np.inf, point)
@@ -113,14 +118,12 @@ def by_cma(seconds: float) -> Ends:
             cost, broken = truth(judge, space.to_gains(spec.free, asked))
             merit = np.nan_to_num(cost / unit + PENALTY * broken, posinf=1e6)
             search.tell(list(asked), merit.tolist())
-            ranks = [(max(b - RESERVE, 0.0), c) for b, c in zip(broken, cost, strict=True)]
+            ranks = list(zip(broken, cost, strict=True))
             i = min(range(len(ranks)), key=ranks.__getitem__)
             best = min(best, (*ranks[i], asked[i]), key=lambda found: found[:2])
         ends.append(best[2])
-        if time.perf_counter() - begun >= seconds:
-            break
     gains = space.to_gains(spec.free, np.array(ends))
-    return Ends(gains, *truth(judge, gains), time.perf_counter() - begun)
+    return Ends(gains, *truth(judge, gains), seconds)
 
 
 def main() -> None:
@@ -129,12 +132,13 @@ def main() -> None:
     rows = {name: by_gradients(model).row() for name, model in MODELS.items()}
     rows["cma"] = by_cma(rows["exact"]["seconds"]).row()
     shown = Table(title="True ITAE, rad s2, of laws that keep the limits on the exact model")
-    for column in ("search on", "feasible", "best", "median of starts", "wall s"):
+    for column in ("search on", "feasible", "best", "loose", "median", "wall s"):
         shown.add_column(column)
     for name, row in rows.items():
         median = "infeasible" if row["median"] is None else f"{row['median']:.5g}"
         kept = f"{row['feasible']} of {row['starts']}"
-        shown.add_row(name, kept, f"{row['best']:.5g}", median, f"{row['seconds']:.1f}")
+        best = (f"{row[key]:.5g}" for key in ("best", "best_loose"))
+        shown.add_row(name, kept, *best, median, f"{row['seconds']:.1f}")
     Console().print(shown)
     OUT.parent.mkdir(parents=True, exist_ok=True)
     write_json(OUT, {"rows": rows, **provenance()})
