@@ -130,23 +130,23 @@ def _spread(
     """
     from distributed import as_completed
 
-    shared = client.scatter(job, broadcast=True)
     waiting = iter(missing)
     numbers: dict[Any, int] = {}
 
     def submit(k: int) -> Any:
-        future = client.submit(work, shared, k, pure=False, retries=2)
+        future = client.submit(work, job, k, pure=False, retries=2)
         numbers[future.key] = k
         return future
 
     abreast = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-    first = [submit(k) for k in itertools.islice(waiting, abreast)]
-    ready = as_completed(first, with_results=True)
+    ready = as_completed(map(submit, itertools.islice(waiting, abreast)), with_results=True)
     for future, arrays in ready:
         following = next(waiting, None)
         if following is not None:
             ready.add(submit(following))
-        yield numbers.pop(future.key), arrays
+        k = numbers.pop(future.key)
+        future.release()  # Dask computes again what a lost worker held and somebody still wants
+        yield k, arrays
 
 
 @contextlib.contextmanager
