@@ -93,14 +93,14 @@ def test_a_delay_moves_a_step_and_its_derivative() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not EMPS.exists(), reason="the EMPS recording is not in ../shared/data")
 def test_emps_under_pulses_agrees_with_the_recording() -> None:
-    """Published parameters: force within 7.4 % (published 8.94), position within 0.008 %."""
+    """Published parameters: force within 7.6 % (published 8.94), position within 0.008 %."""
     import scipy.io
 
     log = {k: np.ravel(v) for k, v in scipy.io.loadmat(EMPS).items() if k[0] != "_"}
     g_tau = float(log["gtau"][0])
     law = Cascade(
-        k_p=float(log["kp"][0]), k_v=float(log["kv"][0]), gain=g_tau, limit=10.0, lag=1.27e-3
-    )  # lag: fitted to the other recording
+        k_p=float(log["kp"][0]), k_v=float(log["kv"][0]), gain=g_tau, limit=10.0, lag=1.07e-3
+    )  # lag: `gearlash identify emps` on the other recording
     pulses = g_tau * log["pulses_N"].astype(float)
     scenario = Scenario(
         Samples(log["qg"], 1e-3, "linear", on_ticks=True),
@@ -113,7 +113,7 @@ def test_emps_under_pulses_agrees_with_the_recording() -> None:
     # The log's control signal holds the pulses that were added to it.
     force, measured = run.signals["command"] + pulses, g_tau * log["vir"]
     position = run.signals["theta_M"] - log["qm"]
-    assert np.linalg.norm(force - measured) < 0.074 * np.linalg.norm(measured)
+    assert np.linalg.norm(force - measured) < 0.076 * np.linalg.norm(measured)
     assert np.linalg.norm(position) < 8e-5 * np.linalg.norm(log["qm"])
 
 
