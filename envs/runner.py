@@ -35,6 +35,9 @@ import numpy as np
 from envs.environment import Environment, Step
 from jaxsim.errors import InputError
 
+# Members that are moved together: more than these do not stay in the cache.
+_LANES = 256
+
 
 class Outcome(NamedTuple):
     """One step of all members, as fresh NumPy arrays with a leading axis of members.
@@ -175,11 +178,18 @@ def _compiled(env: Environment, restarts: bool) -> tuple[Any, Any, Any, Any]:
 
     def step(state: Any, actions: Any) -> Any:
         old = unpacked(state)
-        done = jax.vmap(env.step)(old, actions)
+        done = _stepped(env, old, actions)
         after, observation = _restarted(env, done) if restarts else (done.state, done.observation)
         return packed(after), _columns(env, done, observation)
 
     return jax.jit(reset), jax.jit(again), jax.jit(step), unpacked
+
+
+def _stepped(env: Environment, state: Any, actions: Any) -> Step:
+    """One step of all members, `_LANES` of them at a time."""
+    if actions.shape[0] <= _LANES:
+        return jax.vmap(env.step)(state, actions)
+    return jax.lax.map(lambda each: env.step(*each), (state, actions), batch_size=_LANES)
 
 
 def _next(env: Environment, state: Any) -> tuple[Any, Any]:

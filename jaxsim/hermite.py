@@ -26,6 +26,16 @@ class Cubic(NamedTuple):
     def slope(self, s: Scalar) -> Scalar:
         return self.c1 + s * (2.0 * self.c2 + s * (3.0 * self.c3))
 
+    def area(self, s: Scalar) -> Scalar:
+        """The integral of c from 0 to s."""
+        third, quarter = self.c2 / 3.0, self.c3 / 4.0
+        return s * (self.c0 + s * (0.5 * self.c1 + s * (third + s * quarter)))
+
+    def moment(self, s: Scalar) -> Scalar:
+        """The integral of s c(s) from 0 to s."""
+        rest = self.c1 / 3.0 + s * (self.c2 / 4.0 + s * (self.c3 / 5.0))
+        return s * s * (0.5 * self.c0 + s * rest)
+
     def scaled(self, factor: Scalar) -> Cubic:
         return Cubic(*(factor * c for c in self))
 
@@ -65,7 +75,10 @@ def largest(c: Cubic) -> Scalar:
 
 def smallest(c: Cubic) -> Scalar:
     """The minimum of c on [0, 1]."""
-    return -largest(c.scaled(-1.0))
+    # At the turning points of c, not of -c: the compiler then shares them with the maximum.
+    a, b = turning_points(c)
+    ends = jnp.minimum(c.value(0.0), c.value(1.0))
+    return jnp.minimum(ends, jnp.minimum(c.value(a), c.value(b)))
 
 
 def leaves_positive(c: Cubic, tolerance: Scalar) -> tuple[Scalar, Scalar]:

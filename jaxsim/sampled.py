@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.extend.random import threefry_2x32
 
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Plain, Switch, switch_all
@@ -104,10 +105,7 @@ class Noisy(Sensors):
     def read(
         self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
     ) -> Measured:
-        seed = jnp.asarray(self.seed).astype(jnp.uint32)
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        # In float32 always: the same noise in every precision.
-        n = jax.random.normal(key, (3,), jnp.float32).astype(y.theta_L.dtype)
+        n = _normal(self.seed, number, y.theta_L.dtype)
         off_L, off_M = self.angle_noise * n[0], self.angle_noise * n[1]
         noisy = y._replace(
             theta_L=y.theta_L + off_L,
@@ -116,6 +114,19 @@ class Noisy(Sensors):
             T_s=y.T_s + self.torque_noise * n[2],
         )
         return self.sensors.read(noisy, last, ratio, period, number)
+
+
+def _normal(seed: Scalar, number: Scalar, dtype: Any) -> Any:
+    """Three numbers from N(0, 1) for a seed and a count, the same in every precision.
+
+    One call of Threefry keyed by both. `jax.random` would make a key, fold the count in, and draw:
+    40 us of the 100 that a step of one environment takes.
+    """
+    key = jnp.stack([jnp.asarray(v).astype(jnp.uint32) for v in (seed, number)])
+    bits = threefry_2x32(key, jnp.arange(4, dtype=jnp.uint32))[:3]
+    # 23 bits, in the middle of their intervals: never -1 or 1.
+    uniform = (bits >> 9).astype(jnp.float32) * 2.0**-22 + (2.0**-23 - 1.0)
+    return (2.0**0.5 * jax.lax.erf_inv(uniform)).astype(dtype)
 
 
 class Held(NamedTuple):

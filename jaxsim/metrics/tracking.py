@@ -34,17 +34,14 @@ class Tracking(Metric):
         crosses, cut = hermite.crossing(error.scaled(-side))
         first = jnp.where(crosses, side, jnp.sign(error.value(0.5)))
 
-        def weighted(s: Scalar) -> Scalar:
-            return (piece.t + s * piece.h - self.task.onset) * error.value(s)
-
-        def absolute(function: Any) -> Scalar:
-            before = hermite.integral(function, 0.0, cut)
-            return piece.h * first * (before - hermite.integral(function, cut, 1.0))
-
+        # |e| is first*e up to the cut and -first*e from there on.
+        area = first * (2.0 * error.area(cut) - error.area(1.0))
+        moment = first * (2.0 * error.moment(cut) - error.moment(1.0))
+        since = piece.t - self.task.onset
         counts = self.task.begun(piece)
         return (
-            iae + jnp.where(counts, absolute(error.value), 0.0),
-            itae + jnp.where(counts, absolute(weighted), 0.0),
+            iae + jnp.where(counts, piece.h * area, 0.0),
+            itae + jnp.where(counts, piece.h * (since * area + piece.h * moment), 0.0),
             square
             + jnp.where(
                 counts, piece.h * hermite.integral(lambda s: error.value(s) ** 2, 0.0, 1.0), 0.0
