@@ -28,7 +28,8 @@ def read(path: Path) -> dict[str, np.ndarray]:
     Raises: InputError where it is missing or incomplete, or holds Python objects.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here: NumPy leaves a damaged file open.
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise InputError(str(path), "must be a file", "nothing there", "check the path") from None
