@@ -102,7 +102,7 @@ def estimates(source: Derivatives, period: float, theta, omega) -> np.ndarray:
         return (Measured(zero, theta(k * period), omega(k * period), *[zero] * 5),)
 
     def step(held, k):
-        held = law._sample(measured(k), held, (150.0,))
+        held = law._sample(measured(k), held, (150.0,), k)
         return held, jnp.stack(source.motion(held.law, held.seen)[0])
 
     start = law.start(measured(0.0), period)

@@ -11,7 +11,7 @@ from jaxsim.transmissions.backlash import Backlash
 def sts3215() -> Drive:
     """Everything at the output shaft; half gap 7.95 mrad (95 %: 5.3 to 12.0).
 
-    Source: fitted by examples/identify_servo.py to 120 recorded runs; with the law there,
+    Source: fitted by benchmarks/identify_servo.py to 120 recorded runs; with the law there,
     12.75 mrad mean absolute error over 480 runs with other loads.
     """
     return Drive(

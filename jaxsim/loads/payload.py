@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import equinox as eqx
+
 from jaxsim.drive import Load, Scalar
 from jaxsim.loads.two_link import TwoLink
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
@@ -22,7 +24,7 @@ class TwoLinkPayload(Load):
 
     axes: ClassVar[int] = 2
 
-    arm: TwoLink
+    arm: TwoLink = eqx.field(metadata={"base": Load})
     payload: Scalar = parameter("kg", "mass at the end of link 2", rule=NON_NEGATIVE)
     length_1: Scalar = parameter("m", "joint 1 to joint 2", rule=POSITIVE)
     length_2: Scalar = parameter("m", "joint 2 to the payload", rule=POSITIVE)

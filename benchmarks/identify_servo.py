@@ -1,6 +1,6 @@
 """A hobby servo identified from recordings of others: friction, gear, firmware and half gap.
 
-    python examples/identify_servo.py PATH/raw_100hz.npz [--parts] [--out result.json]
+    python benchmarks/identify_servo.py PATH/raw_100hz.npz [--parts] [--out result.json]
 
 960 runs of a Feetech STS3215 that swings a pendulum, 100 Hz. Fitted are the first repetitions with
 four of the eight loads; the other four loads, all 480 runs of 6 s, are simulated from their first
