@@ -66,8 +66,10 @@ def localise(
 
     def rows(metric: str, over: Over, sign: float = 1.0) -> Rows:
         at = names.index(metric)
-        whole = sample is None or over == "worst"
-        chosen = np.arange(len(values)) if whole else np.flatnonzero(sample)
+        if sample is None or over == "worst":
+            chosen = np.arange(len(values))
+        else:
+            chosen = np.flatnonzero(sample)
         source = np.repeat(chosen, values.shape[1])
         rates = slopes[chosen][..., at, :].reshape(len(source), -1)
         return _over(sign * values[chosen][..., at].reshape(-1), sign * rates, source, over)
