@@ -25,7 +25,7 @@ lint: .venv/.dev  ## Check style, format and types
 	$(BIN)/ruff format --check
 	$(BIN)/pyright
 
-bench: .venv/.bench  ## Measure throughput next to a plain numba loop
+bench: .venv/.bench  ## Measure throughput next to C and a plain numba loop
 	$(BIN)/python benchmarks/throughput.py
 
 docs: .venv/.docs  ## Build the documentation: runs its code blocks, the examples, both papers

@@ -39,14 +39,14 @@ def field(s, reference, plant, gains, out):
 
 
 @numba.njit(fastmath=True)
-def advance(s, trial, k, reference, plant, dt):
+def advance(s, trial, k, reference, plant, gains, dt):
     """One classical RK4 step of the state s, in place."""
-    field(s, reference, plant, GAINS, k[0])
+    field(s, reference, plant, gains, k[0])
     for stage in range(1, 4):
         share = dt if stage == 3 else 0.5 * dt
         for j in range(6):
             trial[j] = s[j] + share * k[stage - 1, j]
-        field(trial, reference, plant, GAINS, k[stage])
+        field(trial, reference, plant, gains, k[stage])
     for j in range(6):
         s[j] += dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
 
@@ -61,7 +61,7 @@ def run(half_gaps, steps, dt):
         s, trial = np.zeros(6), np.empty(6)
         for n in range(steps):
             reference = 0.30 if n * dt >= 0.010 - 1e-12 else 0.0
-            advance(s, trial, k, reference, plant, dt)
+            advance(s, trial, k, reference, plant, GAINS, dt)
             largest[i] = max(largest[i], s[2])
     return largest
 
@@ -75,7 +75,7 @@ def peak(half_gaps, dt):
         plant = (8.78e-4, 9.30e-2, 3.00e2, 1.00e-1, 8.78e-4, 3.60e-2, half_gaps[i])
         s, trial = np.zeros(6), np.empty(6)
         for _ in range(round(0.29 / dt)):
-            advance(s, trial, k, 0.30, plant, dt)
+            advance(s, trial, k, 0.30, plant, GAINS, dt)
             beyond = abs(s[3]) - half_gaps[i]
             if beyond >= 0.0:
                 rate = 1.00e-1 * (s[1] - s[0]) * (1.0 if s[3] > 0.0 else -1.0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numba_loop import field
+from numba_loop import advance
 
 STEP, AT, DURATION = 0.30, 0.010, 0.3
 CUTOFF = 20.0
@@ -21,14 +21,7 @@ def measure(gains, plant, dt, out):
     K, D_B, half_gap = plant[2], plant[3], plant[6]
     itae, torque, top, before = 0.0, 0.0, 0.0, 0.0
     for n in range(round((DURATION - AT) / dt)):
-        field(s, STEP, plant, gains, k[0])
-        for stage in range(1, 4):
-            share = dt if stage == 3 else 0.5 * dt
-            for j in range(6):
-                trial[j] = s[j] + share * k[stage - 1, j]
-            field(trial, STEP, plant, gains, k[stage])
-        for j in range(6):
-            s[j] += dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
+        advance(s, trial, k, STEP, plant, gains, dt)
         after = (n + 1) * dt * abs(STEP - s[2])
         itae += 0.5 * dt * (before + after)
         before = after

@@ -246,7 +246,7 @@ class Sampled(eqx.Module):
             [float(i == j) - half * columns[j][i] for j in range(len(leaves))]
             for i in range(len(leaves))
         ]
-        change = _solve(matrix, [half * (a + b) for a, b in zip(old, new, strict=True)])
+        change = solve_unrolled(matrix, [half * (a + b) for a, b in zip(old, new, strict=True)])
         return jax.tree.unflatten(structure, [x + d for x, d in zip(leaves, change, strict=True)])
 
 
@@ -261,7 +261,7 @@ def _units(leaves: list[Scalar]) -> list[list[Scalar]]:
     ]
 
 
-def _solve(matrix: list[list[Scalar]], rhs: list[Scalar]) -> list[Scalar]:
+def solve_unrolled(matrix: list[list[Scalar]], rhs: list[Scalar]) -> list[Scalar]:
     """Gaussian elimination, unrolled on scalars.
 
     A LAPACK call per step costs more than the whole step. No pivoting: I - period/2 J is

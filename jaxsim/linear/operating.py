@@ -17,7 +17,7 @@ from jaxsim.drive import Drive, Scalar
 from jaxsim.hybrid import Exact
 from jaxsim.loop import ClosedLoop, When
 from jaxsim.motors.dc import DC
-from jaxsim.sampled import _solve as solve_unrolled
+from jaxsim.sampled import solve_unrolled
 
 _NO_SLOPE = ("ripple", "friction", "supply")
 ALPHAS = ("alpha_j", "alpha_a", "alpha_v")
