@@ -39,29 +39,64 @@ class Progress(NamedTuple):
     total: int
 
 
-def compute(
-    work: Callable[[Any, int], Arrays],
-    job: Any,
-    chunks: int,
-    folder: Path,
-    *,
-    where: Where | None = None,
-    tell: Callable[[Progress], None] = lambda progress: None,
-) -> None:
-    """`work(job, k)` for every chunk k, each result kept in `folder` as soon as it is there.
+class Team:
+    """Those who compute, for as many computations as there are; a context manager.
 
-    work: a function of a module, named arrays from the job and the number of a chunk alone; on
-    workers it is imported, so they need the same version of everything. job: anything that can be
-    pickled. Chunks that are in the folder are not computed again: `prepare` says whose they are.
-
-    Raises: InputError where the scheduler does not answer or the extra `scale` is missing.
+    Workers are started, or the scheduler is asked, when the first chunk is to be computed.
     """
-    missing = [k for k in range(chunks) if not _file(folder, k).exists()]
-    tell(Progress(chunks - len(missing), chunks))
-    with contextlib.closing(_results(work, job, missing, where or Where())) as results:
-        for done, (k, arrays) in enumerate(results, chunks - len(missing) + 1):
-            _write(_file(folder, k), arrays)
-            tell(Progress(done, chunks))
+
+    def __init__(self, where: Where | None = None) -> None:
+        self.where = where or Where()
+        self._client: Any = None
+        self._open = contextlib.ExitStack()
+
+    @property
+    def here(self) -> bool:
+        """Whether this process computes by itself."""
+        return self.where.scheduler is None and self.where.workers == 0
+
+    def compute(
+        self,
+        work: Callable[[Any, int], Arrays],
+        job: Any,
+        chunks: int,
+        folder: Path,
+        *,
+        tell: Callable[[Progress], None] = lambda progress: None,
+    ) -> None:
+        """`work(job, k)` for every chunk k, each result kept in `folder` as soon as it is there.
+
+        work: a function of a module, named arrays from the job and the number of a chunk alone; on
+        workers it is imported, so they need the same version of everything. job: anything that can
+        be pickled. Chunks in the folder are not computed again: `prepare` says whose they are.
+
+        Raises: InputError where the scheduler does not answer or the extra `scale` is missing.
+        """
+        missing = [k for k in range(chunks) if not _file(folder, k).exists()]
+        tell(Progress(chunks - len(missing), chunks))
+        with contextlib.closing(self._results(work, job, missing)) as results:
+            for done, (k, arrays) in enumerate(results, chunks - len(missing) + 1):
+                _write(_file(folder, k), arrays)
+                tell(Progress(done, chunks))
+
+    def _results(
+        self, work: Callable[[Any, int], Arrays], job: Any, missing: list[int]
+    ) -> Generator[tuple[int, Arrays], None, None]:
+        """Number and arrays of each chunk, in the order in which they are ready."""
+        if self.here:
+            for k in missing:
+                yield k, work(job, k)
+        elif missing:
+            if self._client is None:
+                self._client = self._open.enter_context(_client(self.where))
+            yield from _spread(self._client, work, job, missing)
+
+    def __enter__(self) -> Team:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client = None
+        self._open.close()
 
 
 def prepare(folder: Path, plan: Any, *, resume: bool) -> None:
@@ -80,6 +115,12 @@ def prepare(folder: Path, plan: Any, *, resume: bool) -> None:
             rule = "must go on with the same study, values and seed"
             raise InputError("--resume", rule, str(folder.parent), "name another folder")
     write_json(file, {"mark": mark, "plan": json.loads(json.dumps(plan, default=_listed))})
+
+
+def read(folder: Path, k: int) -> Arrays:
+    """The named arrays of one chunk."""
+    with np.load(_file(folder, k)) as stored:
+        return dict(stored)
 
 
 def gather(folder: Path, chunks: int, name: str) -> np.ndarray:
@@ -106,18 +147,6 @@ def _write(path: Path, arrays: Arrays) -> None:
     beside = path.with_suffix(".part")
     beside.write_bytes(content.getvalue())
     beside.replace(path)
-
-
-def _results(
-    work: Callable[[Any, int], Arrays], job: Any, missing: list[int], where: Where
-) -> Generator[tuple[int, Arrays], None, None]:
-    """Number and arrays of each chunk, in the order in which they are ready."""
-    if where.scheduler is None and where.workers == 0:
-        for k in missing:
-            yield k, work(job, k)
-    elif missing:
-        with _client(where) as client:
-            yield from _spread(client, work, job, missing)
 
 
 def _spread(
@@ -172,4 +201,4 @@ def _client(where: Where) -> Iterator[Any]:
         yield client
 
 
-__all__ = ["Progress", "Where", "compute", "gather", "prepare"]
+__all__ = ["Progress", "Team", "Where", "gather", "prepare", "read"]

@@ -41,10 +41,10 @@ def test_finished_chunks_are_not_computed_again(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        scale.compute(work, marks, CHUNKS, folder, tell=stop)
+        scale.Team().compute(work, marks, CHUNKS, folder, tell=stop)
     assert _computed(marks) == list(range(5))
     seen: list[scale.Progress] = []
-    scale.compute(work, marks, CHUNKS, folder, tell=seen.append)
+    scale.Team().compute(work, marks, CHUNKS, folder, tell=seen.append)
     assert _computed(marks) == list(range(CHUNKS))
     assert seen[0] == (5, CHUNKS)
     assert seen[-1] == (CHUNKS, CHUNKS)
@@ -66,7 +66,7 @@ def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path) -> None:
     marks, folder = _folders(tmp_path, "nowhere")
     where = scale.Where(scheduler="nonsense")
     with pytest.raises(InputError, match="--scheduler: must answer; got nonsense"):
-        scale.compute(work, marks, 1, folder, where=where)
+        scale.Team(where).compute(work, marks, 1, folder)
 
 
 def test_every_drive_of_a_chunk_is_drawn_within_its_range() -> None:
@@ -97,7 +97,7 @@ def test_a_killed_worker_changes_nothing_and_costs_nothing_finished(tmp_path: Pa
     job = mc.job_of(study, mc.ranges_of(study, {}), 0)
     here, there = tmp_path / "here", tmp_path / "there"
     scale.prepare(here, {}, resume=False)
-    scale.compute(mc.work, job, CHUNKS, here)
+    scale.Team().compute(mc.work, job, CHUNKS, here)
     marks = tmp_path / "marks"
     marks.mkdir()
     scale.prepare(there, {}, resume=False)
@@ -109,7 +109,8 @@ def test_a_killed_worker_changes_nothing_and_costs_nothing_finished(tmp_path: Pa
             os.kill(int(next(iter(marks.iterdir())).name.split("-")[1]), signal.SIGKILL)
 
     where = scale.Where(workers=4)
-    scale.compute(marked, (job, marks), CHUNKS, there, where=where, tell=kill)
+    with scale.Team(where) as team:
+        team.compute(marked, (job, marks), CHUNKS, there, tell=kill)
     computed = _computed(marks)
     assert len(finished) == 3
     assert all(computed.count(k) == 1 for k in finished)

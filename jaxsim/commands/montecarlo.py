@@ -81,4 +81,5 @@ def _compute(job: Any, chunks: int, folder: Path, where: Any, console: Any) -> N
         def tell(p: Any) -> None:
             bar.update(task, completed=p.done)
 
-        scale.compute(mc.work, job, chunks, folder, where=where, tell=tell)
+        with scale.Team(where) as team:
+            team.compute(mc.work, job, chunks, folder, tell=tell)
