@@ -12,15 +12,23 @@ from jaxsim.run import Run
 from rl.comparison import Entry, Line
 from rl.store import Row
 
+_NARROW = 4.0  # a logarithmic axis from here to so many times of it has ticks like any other
 
-def _plain_ticks(*axes: Any) -> None:
-    """0.7 and 2 in place of powers of ten: costs span less than one decade or two."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    for axis in axes:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.set_minor_formatter(NullFormatter())
+def _plain_ticks(axis: Any) -> None:
+    """0.7, 2 and 3M in place of powers of ten: most axes span less than a decade or two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    def text(value: float, _: int) -> str:
+        return f"{value:g}" if value < 1e4 else f"{value / 1e6:g}M"
+
+    low, high = axis.get_view_interval()
+    decade = (1.0, 2.0, 5.0) if high > 10.0 * low else (1.0, 2.0, 3.0, 5.0, 7.0)
+    axis.set_major_locator(
+        MaxNLocator(5, steps=[1, 2, 5, 10]) if high < _NARROW * low else LogLocator(subs=decade)
+    )
+    axis.set_major_formatter(FuncFormatter(text))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def learning(path: Path, runs: Mapping[str, Sequence[Sequence[Row]]], title: str) -> None:
@@ -44,8 +52,8 @@ def learning(path: Path, runs: Mapping[str, Sequence[Sequence[Row]]], title: str
     for ax in axes:
         ax.set(xscale="log", yscale="log")
         ax.grid(alpha=0.3)
+        _plain_ticks(ax.xaxis)
         _plain_ticks(ax.yaxis)
-    _plain_ticks(axes[1].xaxis)
     axes[0].legend(frameon=False)
     figure.suptitle(f"Learning curves, {title}: least so far (thin: each validation)")
     figure.savefig(path, dpi=130)

@@ -41,7 +41,7 @@ NOMINAL = {
 
 
 def head(lines: Sequence[Line]) -> list[str]:
-    """The columns of the table on the screen and in the report."""
+    """The columns of table.csv."""
     metrics = [f"{key}, median" for key in lines[0].medians if key != "cost"]
     return [
         "law", "cost, median", "95 % interval", "of the tuned", "95 % interval", "failed %",
@@ -68,9 +68,19 @@ def cells(line: Line) -> list[Any]:
 
 def _wins(lines: Sequence[Line]) -> Table:
     metrics = list(lines[0].wins)
-    rows = [[line.name, *(100.0 * line.wins[m] for m in metrics)] for line in lines]
+    rows = [
+        [line.name, *(round(100.0 * line.wins[m], 1) for m in metrics)]
+        for line in lines
+        if line.name != TUNED
+    ]
     caption = "Share of the episodes, %, in which the law has less of a metric than the tuned one."
     return Table(caption, ["law", *metrics], rows)
+
+
+def _medians(lines: Sequence[Line]) -> Table:
+    metrics = [key for key in lines[0].medians if key != "cost"]
+    rows = [[line.name, *(line.medians[m] for m in metrics)] for line in lines]
+    return Table("Medians of the metrics in the cost.", ["law", *metrics], rows)
 
 
 def nominal_table(runs: Mapping[str, Run], unit: str) -> Table:
@@ -105,6 +115,7 @@ def write(
         Picture("Learning curves: median cost of the validation episodes.",
                 folder / "learning.png"),
     ]  # fmt: skip
+    tables = [_main_table(lines), _medians(lines), _wins(lines)]
     response = Picture("Responses in the nominal case.", folder / "responses.png")
     seeds = max(len(specs) for specs in study.agents.values())
     about = [
@@ -125,20 +136,30 @@ def write(
         Summary(verdict, rest, mood),
         [
             Section("How it was compared", [Text(about)]),
-            Section("Random episodes", [_main_table(lines), _wins(lines), *pictures]),
+            Section("Random episodes", [*tables, *pictures]),
             Section("Nominal case", [nominal_table(runs, unit), response]),
         ],
-        provenance(dtype="float64"),
+        provenance(dtype="float32"),
     )
 
 
 def _main_table(lines: Sequence[Line]) -> Table:
     caption = (
         "Cost: mean of its terms, each over the paper's law's in the nominal case. Median over "
-        "seeds of the median over episodes; intervals by bootstrap over seeds and episodes. "
+        "seeds of the median over episodes; intervals (95 %) by bootstrap over seeds and episodes. "
         "Steps of control and CPU seconds per seed."
     )
-    return Table(caption, head(lines), [cells(line) for line in lines])
+    header = ["law", "cost", "interval", "of the tuned", "interval", "failed %", "wins %"]
+    rows = []
+    for line in lines:
+        own = line.name == TUNED
+        ratio = None if own else f"{line.ratio_low:.3f}–{line.ratio_high:.3f}"
+        wins = None if own else round(100.0 * line.wins["cost"], 1)
+        interval = f"{line.low:.3f}–{line.high:.3f}"
+        cost = round(line.median, 3), interval, round(line.ratio, 3), ratio
+        spent = (int(line.steps), int(line.cpu)) if line.steps else (None, None)
+        rows.append([line.name, *cost, round(100.0 * line.failed, 2), wins, *spent])
+    return Table(caption, [*header, "steps", "CPU s"], rows)
 
 
 def _write_numbers(
@@ -159,7 +180,7 @@ def _write_numbers(
         "median_cost_per_seed": per_seed,
         "tuned": {"gains": found.gains, "cost": found.cost, "runs": found.runs, "cpu_s": found.cpu},
         "nominal": {r[0]: dict(zip(nominal.header[1:], r[1:], strict=True)) for r in nominal.rows},
-        **provenance(dtype="float64"),
+        **provenance(dtype="float32"),
     }
     write_json(folder / "comparison.json", content)
     about = f"{TUNED} on {study.task}: median cost {found.cost:.6g} of the episodes of its tuning"

@@ -114,17 +114,23 @@ def _draw_learning(what: Any, out: Path) -> None:
 
 
 def _show(lines: Any, words: list[str], console: Any) -> None:
+    from rich import box
     from rich.table import Table
 
-    shown = Table(title="Median cost over the test episodes", title_justify="left")
-    for name in ("law", "cost", "95 % interval", "of the tuned", "wins %", "steps", "CPU s"):
-        shown.add_column(name, justify="left" if name == "law" else "right")
+    from rl.comparison import TUNED
+
+    title = "Median cost over the test episodes"
+    shown = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    shown.add_column("law", no_wrap=True)
+    for name in ("cost", "of tuned", "95 %", "wins %", "CPU s"):
+        shown.add_column(name, justify="right", no_wrap=True)
     for line in lines:
-        shown.add_row(
-            line.name, f"{line.median:.4g}", f"{line.low:.4g} to {line.high:.4g}",
-            f"{line.ratio:.3g}", f"{100.0 * line.wins['cost']:.0f}", f"{line.steps:,.0f}",
-            f"{line.cpu:.0f}",
-        )  # fmt: skip
+        interval = f"{line.ratio_low:.3g} to {line.ratio_high:.3g}"
+        beaten = f"{100.0 * line.wins['cost']:.0f}"
+        rival = ("-", "-") if line.name == TUNED else (interval, beaten)
+        style = "bold" if line.name == TUNED else None
+        row = f"{line.median:.4f}", f"{line.ratio:.3f}", *rival, f"{line.cpu:.0f}"
+        shown.add_row(line.name, *row, style=style)
     console.print(shown)
     for text in words:
         console.print(text)
