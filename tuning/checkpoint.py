@@ -67,7 +67,8 @@ def fingerprint(session: Session) -> str:
     """A digest of the study as it was read and of the specification, overrides included."""
     parts = {k: v for k, v in session.study.table.items() if k not in ("name", "about", "tune")}
     text = json.dumps([parts, describe(session.spec)], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
+    # A list of drives may stand in a file of its own: what counts is what was read.
+    return hashlib.sha256(text.encode() + session.spec.drives.tobytes()).hexdigest()
 
 
 def _table(s: State) -> dict[str, Any]:

@@ -127,8 +127,10 @@ def _bounds(study: Study, name: str, value: float, option: str) -> tuple[float, 
 
         path = tree.resolve(study.law, name)
         for f in read_spec(study).free:
-            if path in f.paths:
-                return f.lower, f.upper
+            for tie in f.ties:
+                if tie.path == path:
+                    low, high = sorted(map(tie.value, (f.lower, f.upper)))
+                    return low, high
     if value == 0.0:
         fix = f"e.g. {option}-range -1 1"
         raise InputError(f"{option}-range", "must be given for a gain that is 0", 0.0, fix)

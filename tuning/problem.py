@@ -48,7 +48,7 @@ class Problem:
 
     def __init__(self, study: Study, spec: Spec) -> None:
         self.study, self.spec = study, spec
-        self.drives = space.draw_drives(study.drive, spec)
+        self.drives = spec.drives
         self.scenarios = tuple(study.scenarios)
         self.metrics = spec.objective.metrics()
         most = max(spec.count, spec.screen * spec.starts)

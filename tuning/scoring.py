@@ -11,6 +11,7 @@ from jaxsim._simulate import simulate
 from jaxsim.catalog import METRICS
 from jaxsim.hybrid import Exact
 from jaxsim.objective import Limit, Objective, Over, reduce
+from tuning import space
 from tuning.problem import Problem
 
 
@@ -68,8 +69,7 @@ def fresh(
     metrics: names, None for all. All runs of a scenario are one batch.
     """
     study, spec = problem.study, problem.spec
-    paths = {p: gains[:, i] for i, f in enumerate(spec.free) for p in f.paths}
-    law, drive = batch.spread(study.law, **paths), study.drive
+    law, drive = batch.spread(study.law, **space.leaves(spec.free, gains)), study.drive
     if spec.spreads:
         own = problem.drives[drives]
         drive = batch.spread(drive, **{s.path: own[:, i] for i, s in enumerate(spec.spreads)})

@@ -45,13 +45,17 @@ def _columns(free: tuple[Free, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def gains_of(law: Any, free: tuple[Free, ...]) -> np.ndarray:
     """The free parameters as they stand in a law (P,); of tied ones the first."""
-    return np.array([float(tree.get(law, f.paths[0])) for f in free])
+    return np.array([float(tree.get(law, f.ties[0].path)) for f in free])
 
 
 def with_gains(law: Any, free: tuple[Free, ...], gains: Any) -> Any:
     """The law with its free parameters set; gains (P,), numbers or traced."""
-    values = {p: gains[i] for i, f in enumerate(free) for p in f.paths}
-    return tree.replace(law, values)
+    return tree.replace(law, leaves(free, gains))
+
+
+def leaves(free: tuple[Free, ...], gains: Any) -> dict[str, Any]:
+    """The parameters of the law by path that gains (..., P) set."""
+    return {t.path: t.value(gains[..., i]) for i, f in enumerate(free) for t in f.ties}
 
 
 def starting_points(law: Any, spec: Spec) -> np.ndarray:
@@ -61,16 +65,6 @@ def starting_points(law: Any, spec: Spec) -> np.ndarray:
         return first
     sampler = qmc.LatinHypercube(len(spec.free), rng=np.random.default_rng([spec.seed, 1]))
     return np.concatenate([first, sampler.random(spec.starts - 1)])
-
-
-def draw_drives(drive: Any, spec: Spec) -> np.ndarray:
-    """(count, spreads): the drive as it is, then a Latin hypercube over the spreads."""
-    nominal = np.array([float(tree.get(drive, s.path)) for s in spec.spreads])[None]
-    if spec.count == 1:
-        return nominal
-    sampler = qmc.LatinHypercube(len(spec.spreads), rng=np.random.default_rng([spec.seed, 0]))
-    low, high = (np.array([getattr(s, k) for s in spec.spreads]) for k in ("lower", "upper"))
-    return np.concatenate([nominal, low + (high - low) * sampler.random(spec.count - 1)])
 
 
 def spanning(points: np.ndarray, count: int) -> np.ndarray:

@@ -15,45 +15,41 @@ from jaxsim.parameters import Rule, all_parameters
 from jaxsim.quantity import to_si
 from jaxsim.study import Study
 from jaxsim.validation import check
+from tuning.drive_set import SETS, Drives, Spread, path_in
+from tuning.tie import Tie, read_tie
 
 # Bounds of one sign that span more than this are searched in the logarithm.
 _WIDE = 10.0
 
 
 class Free(NamedTuple):
-    """A free parameter: one value for all `paths` in the law, between bounds in SI units."""
+    """A free parameter between bounds in SI units, and what it sets in the law.
+
+    ties: the parameters that have its value, then those that follow it by a factor and an offset.
+    """
 
     name: str
-    paths: tuple[str, ...]
+    ties: tuple[Tie, ...]
     lower: float
     upper: float
     log: bool
     unit: str
 
 
-class Spread(NamedTuple):
-    """A parameter of the drive (by path) that is uncertain between two values in SI units."""
-
-    name: str
-    path: str
-    lower: float
-    upper: float
-
-
 class Spec(NamedTuple):
     """What is tuned, for which drives, from where, and how long.
 
-    count: drives, the study's own among them. starts: of the search, the study's own law among
-    them. screen: drives on which all starts are tried before the best `finalists` see all.
-    iterations: at most so many on all drives, half as many before. tolerance: a step shorter than
-    this, on the unit cube of the bounds, ends a start. seed: of drives and starts. working: the
-    drives that the last stage begins with; those that break a limit join them. check: drives
-    drawn afresh on which the tuned law is tried at the end.
+    drives: their values (count, spreads), the study's own first. starts: of the search, the
+    study's own law among them. screen: drives on which all starts are tried before the best
+    `finalists` see all. iterations: at most so many on all drives, half as many before. tolerance:
+    a step shorter than this, on the unit cube of the bounds, ends a start. seed: of drives and
+    starts. working: the drives that the last stage begins with; those that break a limit join
+    them. check: drives drawn afresh on which the tuned law is tried at the end.
     """
 
     free: tuple[Free, ...]
     spreads: tuple[Spread, ...]
-    count: int
+    drives: np.ndarray
     starts: int
     screen: int
     finalists: int
@@ -63,6 +59,10 @@ class Spec(NamedTuple):
     objective: Objective
     working: int
     check: int
+
+    @property
+    def count(self) -> int:
+        return len(self.drives)
 
 
 class _Tune(BaseModel):
@@ -86,11 +86,10 @@ class _Free(BaseModel):
 
 class _Drives(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    count: int = Field(ge=1, default=1)
+    count: int | None = Field(ge=1, default=None)
     screen: int = Field(ge=1, default=8)
     working: int | None = Field(ge=1, default=None)
     check: int = Field(ge=0, default=0)
-    spread: dict[str, Any] = {}
 
 
 def read_spec(study: Study, *, starts: int | None = None, seed: int | None = None) -> Spec:
@@ -106,72 +105,115 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
     given = dict(study.section("tune"))
     given |= {k: v for k, v in (("starts", starts), ("seed", seed)) if v is not None}
     main = check(_Tune, given, "tune")
-    drives = check(_Drives, main.drives, "tune.drives")
     if not main.free:
         raise InputError("tune.free", "must name a parameter", "none", "e.g. K_B = { ... }")
-    spreads = tuple(_spread(study, name, v) for name, v in drives.spread.items())
-    if (drives.count > 1) != bool(spreads):
-        got = f"count = {drives.count}, spread = {drives.spread}"
-        raise InputError("tune.drives", "needs both count > 1 and spread", got, "give both")
-    _check_drives(drives, study.objective)
+    options, drives = _drives(study, main)
+    _check_drives(options, drives, study.objective)
+    count = len(drives.values)
     return Spec(
-        free=tuple(_free(study.law, name, v) for name, v in main.free.items()),
-        spreads=spreads,
-        count=drives.count,
+        free=_all_free(study.law, main.free),
+        spreads=drives.spreads,
+        drives=drives.values,
         starts=main.starts,
-        screen=min(drives.screen, drives.count),
+        screen=min(options.screen, count),
         finalists=main.finalists,
         iterations=main.iterations,
         tolerance=main.tolerance,
         seed=main.seed,
         objective=study.objective,
-        working=min(drives.working or drives.count, drives.count),
-        check=drives.check,
+        working=min(options.working or count, count),
+        check=options.check,
     )
 
 
-def _check_drives(drives: _Drives, objective: Objective) -> None:
+def _drives(study: Study, main: _Tune) -> tuple[_Drives, Drives]:
+    """The options of [tune.drives], and the drives of the one set that it names."""
+    where, sets = "tune.drives", SETS.all()
+    named = {key: v for key, v in main.drives.items() if key in sets}
+    rest = {key: v for key, v in main.drives.items() if key not in sets}
+    for key in rest:
+        if key not in _Drives.model_fields:
+            raise InputError.unknown(f"{where}.{key}", key, {*_Drives.model_fields, *sets})
+    options = check(_Drives, rest, where)
+    if len(named) > 1:
+        raise InputError(where, "must name one set of drives", list(named), "leave the others out")
+    if not named:
+        if (options.count or 1) > 1:
+            got = f"count = {options.count}, spread = {{}}"
+            raise InputError(where, "needs both count > 1 and spread", got, "give both")
+        return options, Drives((), np.zeros((1, 0)))
+    ((key, given),) = named.items()
+    if options.count is not None and not sets[key].counted:
+        fix = "leave count out"
+        raise InputError(f"{where}.count", f"must follow from {key}", options.count, fix)
+    set_ = sets[key]()
+    return options, set_.read(study, given, options.count or 1, main.seed, f"{where}.{key}")
+
+
+def _check_drives(options: _Drives, drives: Drives, objective: Objective) -> None:
     """A working set knows the worst drives, not how many are bad; fresh drives need a spread."""
-    if drives.check and not drives.spread:
+    if options.check and all(s.lower == s.upper for s in drives.spreads):
         raise InputError("tune.drives.check", "needs a spread", "none", "give spread")
     sampled = [x.metric for x in objective.limits if x.over != "worst"]
-    if drives.working and sampled:
+    if options.working and sampled:
         fix = 'leave working out, or take over = "worst"'
         raise InputError("tune.drives.working", "needs limits on the worst case", sampled, fix)
+
+
+def _all_free(law: Any, given: Mapping[str, Any]) -> tuple[Free, ...]:
+    """The free parameters, each with what follows it; entries that are text follow another."""
+    where = "tune.free"
+    free = {n: _free(law, n, v) for n, v in given.items() if not isinstance(v, str)}
+    for key, text in given.items():
+        if not isinstance(text, str):
+            continue
+        name, factor, offset = read_tie(text, f"{where}.{key}")
+        if name not in free:
+            raise InputError.unknown(f"{where}.{key}", name, free)
+        tie = Tie(path_in(law, key, f"{where}.{key}"), factor, offset)
+        _check_ends(law, tie, free[name], f"{where}.{key}")
+        free[name] = free[name]._replace(ties=(*free[name].ties, tie))
+    paths = [t.path for f in free.values() for t in f.ties]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise InputError(where, "must set each parameter once", path, "leave one out")
+    return tuple(free.values())
 
 
 def _free(law: Any, name: str, given: Any) -> Free:
     where = f"tune.free.{name}"
     item = check(_Free, given, where)
-    paths = tuple(_path(law, path, where) for path in item.of or [name])
-    unit = tree.unit(law, paths[0])
+    ties = tuple(Tie(path_in(law, path, where)) for path in item.of or [name])
+    unit = tree.unit(law, ties[0].path)
     lower, upper = (
         float(to_si(getattr(item, k), unit, f"{where}.{k}")) for k in ("lower", "upper")
     )
     if not lower < upper:
         raise InputError(where, "must have lower < upper", [lower, upper], "swap or widen them")
-    for path in paths:
-        rule = _rule(law, path, where)
-        for key, bound in (("lower", lower), ("upper", upper)):
-            if not rule.holds(np.asarray(bound)):
-                raise InputError(f"{where}.{key}", rule.text, bound, rule.fix)
     if item.scale == "log" and lower * upper <= 0.0:
         raise InputError(
             where, "must have bounds of one sign for scale = 'log'", [lower, upper], "use 'linear'"
         )
-    return Free(name, paths, lower, upper, _is_log(item.scale, lower, upper), unit)
+    found = Free(name, ties, lower, upper, _is_log(item.scale, lower, upper), unit)
+    for tie in ties:
+        _check_ends(law, tie, found, where)
+    return found
+
+
+def _check_ends(law: Any, tie: Tie, free: Free, where: str) -> None:
+    """Neither bound may break the rule of a parameter that it sets."""
+    rule = _rule(law, tie.path, where)
+    own = tie.factor == 1.0 and tie.offset == 0.0
+    for key in ("lower", "upper"):
+        value = tie.value(getattr(free, key))
+        if not rule.holds(np.asarray(value)):
+            field = f"{where}.{key}" if own else f"{where} at {free.name}.{key}"
+            raise InputError(field, rule.text, value, rule.fix)
 
 
 def _is_log(scale: str | None, lower: float, upper: float) -> bool:
     wide = lower * upper > 0.0 and max(lower / upper, upper / lower) >= _WIDE
     return scale == "log" or (scale is None and wide)
-
-
-def _path(owner: Any, name: str, where: str) -> str:
-    try:
-        return tree.resolve(owner, name)
-    except InputError as error:
-        raise InputError(where, error.rule, error.value, error.fix) from None
 
 
 def _rule(owner: Any, path: str, where: str) -> Rule:
@@ -183,38 +225,10 @@ def _rule(owner: Any, path: str, where: str) -> Rule:
     return item.rule
 
 
-def _spread(study: Study, name: str, given: Any) -> Spread:
-    """A half-width relative to the study's drive, such as "20 %", or a list [lower, upper]."""
-    where = f"tune.drives.spread.{name}"
-    path = _path(study.drive, name, where)
-    unit, value = tree.unit(study.drive, path), float(tree.get(study.drive, path))
-    if isinstance(given, list) and len(given) == 2:
-        lower, upper = (float(v) for v in to_si(given, unit, where))
-    elif isinstance(given, str) and given.rstrip().endswith("%"):
-        share = _percent(given, where)
-        lower, upper = sorted((value * (1.0 - share), value * (1.0 + share)))
-    else:
-        rule = 'must be relative like "20 %" or a list [lower, upper]'
-        raise InputError(where, rule, repr(given), 'e.g. "20 %"')
-    if not lower < upper:
-        raise InputError(where, "must span a range", [lower, upper], "give lower < upper")
-    return Spread(name, path, lower, upper)
-
-
-def _percent(text: str, where: str) -> float:
-    try:
-        share = float(text.rstrip().removesuffix("%")) / 100.0
-    except ValueError:
-        raise InputError(where, "must be a number and %", repr(text), 'e.g. "20 %"') from None
-    if not 0.0 < share < float("inf"):
-        raise InputError(where, "must be > 0 %", text, 'e.g. "20 %"')
-    return share
-
-
 def describe(spec: Spec) -> Mapping[str, Any]:
     """The specification as plain tables: what a result file says of it."""
     return {
-        "free": {f.name: {"lower": f.lower, "upper": f.upper, "log": f.log} for f in spec.free},
+        "free": {f.name: _described(f) for f in spec.free},
         "spread": {s.name: [s.lower, s.upper] for s in spec.spreads},
         "count": spec.count,
         "starts": spec.starts,
@@ -227,3 +241,8 @@ def describe(spec: Spec) -> Mapping[str, Any]:
         "check": spec.check,
         "objective": [list(map(list, part)) for part in spec.objective],
     }
+
+
+def _described(f: Free) -> dict[str, Any]:
+    sets = {t.path: [t.factor, t.offset] for t in f.ties}
+    return {"lower": f.lower, "upper": f.upper, "log": f.log, "sets": sets}

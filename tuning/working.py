@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxsim.objective import Limit
 from tuning import space
+from tuning.drive_set import hypercube
 from tuning.local import RESERVE, size
 from tuning.problem import Problem
 from tuning.scoring import Scores, fresh
@@ -69,8 +70,9 @@ def check(problem: Problem, gains: np.ndarray) -> Check | None:
     spec = problem.spec
     if not spec.check:
         return None
-    # Another seed draws other drives; the first is the study's own, which is not fresh.
-    other = Problem(problem.study, spec._replace(count=spec.check + 1, seed=spec.seed + 1))
+    # Another seed than that of the drives; the first row stays the study's own.
+    drawn = hypercube(spec.spreads, spec.check, spec.seed + 1)
+    other = Problem(problem.study, spec._replace(drives=np.concatenate([spec.drives[:1], drawn])))
     scores = _scores(other, gains, np.arange(1, spec.check + 1))
     failed = scores.status.any(axis=1)
     bad, broken, worst = failed.copy(), {}, {}

@@ -1,0 +1,135 @@
+"""The solver alone, against SciPy and closed forms, and the objective that it is given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from jaxsim.objective import Goal, Limit, Objective, reduce
+from tuning import solver
+from tuning.local import RESERVE, Local, Rows, localise
+from tuning.solver import CONVERGED, RUNNING, State
+
+
+def rows(value: Any, slope: Any, factor: float = 1.0) -> Rows:
+    value = np.atleast_1d(np.asarray(value, float))
+    return Rows(value, np.reshape(slope, (len(value), -1)), factor, np.arange(len(value)))
+
+
+def banana(z: np.ndarray) -> Local:
+    """Rosenbrock's valley, with a disc and a line as limits."""
+    x, y = 3.0 * z - 1.0
+    cost = (1.0 - x) ** 2 + 10.0 * (y - x**2) ** 2
+    slope = [-2.0 * (1.0 - x) - 40.0 * x * (y - x**2), 20.0 * (y - x**2)]
+    disc = rows(x**2 + y**2 - 1.0, [6.0 * x, 6.0 * y])
+    line = rows(y - 0.7 * x - 0.1, [-2.1, 3.0])
+    return Local((rows(cost, np.multiply(3.0, slope)),), (disc, line))
+
+
+def run(look: Any, starts: Any, most: int = 100) -> list[State]:
+    states = [solver.begin(State(np.asarray(z, float)), look(np.array([z]))[0]) for z in starts]
+    while any(s.status == RUNNING for s in states):
+        states = solver.advance(states, look, 1e-7, most)
+    return states
+
+
+def test_solver_finds_the_constrained_minimum_of_scipy() -> None:
+    def values(z: np.ndarray) -> Local:
+        return banana(z)
+
+    wanted = minimize(
+        lambda z: values(z).cost,
+        [0.5, 0.5],
+        method="SLSQP",
+        bounds=[(0, 1)] * 2,
+        constraints={"type": "ineq", "fun": lambda z: -values(z).excess},
+        options={"ftol": 1e-14},
+    )
+    found = run(lambda zs: [banana(z) for z in zs], [[0.5, 0.5], [0.1, 0.9], [0.05, 0.05]])
+    for s in found:
+        assert s.status == CONVERGED
+        np.testing.assert_allclose(s.z, wanted.x, atol=1e-5)
+
+
+def test_worst_case_goal_is_solved_to_its_kink() -> None:
+    # max(|z - a|) over three points: the middle of the outer two.
+    points = np.array([0.1, 0.35, 0.8])
+
+    def look(zs: np.ndarray) -> list[Local | str]:
+        return [
+            Local((rows([*(z[0] - points), *(points - z[0])], [[1.0]] * 3 + [[-1.0]] * 3),), ())
+            for z in zs
+        ]
+
+    (s,) = run(look, [[0.9]])
+    assert s.z[0] == pytest.approx(0.45, abs=1e-6)
+
+
+def test_multiplier_is_the_price_of_the_bound() -> None:
+    # min (z - 0.9)^2 with z <= 0.5: d cost/d bound = 2 (0.5 - 0.9).
+    def look(zs: np.ndarray) -> list[Local | str]:
+        return [
+            Local((rows((z - 0.9) ** 2, 2.0 * (z - 0.9)),), (rows(z - 0.5, [1.0]),)) for z in zs
+        ]
+
+    (s,) = run(look, [[0.2]])
+    assert s.step is not None
+    assert float(s.step.limit_weights[0].sum()) == pytest.approx(0.8, rel=1e-5)
+
+
+def test_failed_trials_are_rejected_and_leave_the_others_alone() -> None:
+    def look(zs: np.ndarray, fails: bool) -> list[Local | str]:
+        return ["no run here" if fails and z[0] > 0.55 else banana(z) for z in zs]
+
+    starts = [[0.5, 0.5], [0.1, 0.9]]
+    free = run(lambda zs: look(zs, False), starts)
+    both = run(lambda zs: look(zs, True), starts)
+    assert free[0].z[0] > 0.55
+    assert both[0].z[0] <= 0.55  # as near as it gets, by smaller steps
+    assert np.isfinite(both[0].z).all()
+    alone = run(lambda zs: look(zs, True), starts[1:])
+    np.testing.assert_array_equal(both[1].z, alone[0].z)
+
+
+def test_violated_limits_are_cut_as_far_as_they_go() -> None:
+    # z <= 0.2 and z >= 0.6 exclude each other; the sum of the excesses is least between.
+    def look(zs: np.ndarray) -> list[Local | str]:
+        limits = [(rows(z - 0.2, [1.0]), rows(0.6 - z, [-1.0])) for z in zs]
+        return [Local((rows(z, [1.0]),), x) for z, x in zip(zs, limits, strict=True)]
+
+    (s,) = run(look, [[0.9]])
+    assert s.best_local is not None
+    assert 0.2 <= s.z[0] <= 0.6
+    assert s.best_local.violation > 0.1
+
+
+# --- the objective as rows ------------------------------------------------------------------
+
+
+def test_rows_reduce_to_the_numbers_of_the_objective() -> None:
+    values = np.random.default_rng(0).normal(size=(9, 1, 2))
+    slopes = np.random.default_rng(1).normal(size=(9, 1, 2, 3))
+    for over in ("mean", "worst", 0.8):
+        objective = Objective((Goal("a", 2.0, over),), (Limit("b", 0.5, over),))
+        local = localise(objective, ("a", "b"), values, slopes)
+        assert local.cost == pytest.approx(2.0 * float(reduce(values[:, 0, 0], over)), rel=1e-12)
+        excess = (float(reduce(values[:, 0, 1], over)) - 0.5) / 0.5 + RESERVE
+        assert local.excess[0] == pytest.approx(excess, rel=1e-12)
+        moved = localise(objective, ("a", "b"), values + 1e-7 * slopes @ np.ones(3), slopes)
+        row = int(np.argmax(local.goals[0].values))
+        fall = 2.0 * float(local.goals[0].slopes[row].sum())
+        assert (moved.cost - local.cost) / 1e-7 == pytest.approx(fall, rel=1e-5)
+
+
+def test_a_mean_is_taken_over_the_sample_and_a_worst_case_over_all() -> None:
+    values = np.array([1.0, 3.0, 8.0]).reshape(3, 1, 1)
+    slopes = np.array([10.0, 30.0, 80.0]).reshape(3, 1, 1, 1)
+    objective = Objective((Goal("a", 1.0, "mean"),), (Limit("a", 2.0, "worst"),))
+    local = localise(objective, ("a",), values, slopes, np.array([True, True, False]))
+    assert local.goals[0].values == pytest.approx([2.0])
+    assert local.goals[0].slopes == pytest.approx(np.array([[20.0]]))
+    assert local.limits[0].values.max() == pytest.approx(3.0 + RESERVE)
+    assert local.limits[0].source.tolist() == [0, 1, 2]

@@ -1,0 +1,1 @@
+"""Kinds of drive sets: one file each, found by scanning this folder."""
