@@ -72,7 +72,7 @@ class Team:
 
         Raises: InputError where the scheduler does not answer or the extra `scale` is missing.
         """
-        missing = [k for k in range(chunks) if not _file(folder, k).exists()]
+        missing = [k for k in range(chunks) if not is_there(folder, k)]
         tell(Progress(chunks - len(missing), chunks))
         with contextlib.closing(self._results(work, job, missing)) as results:
             for done, (k, arrays) in enumerate(results, chunks - len(missing) + 1):
@@ -115,6 +115,11 @@ def prepare(folder: Path, plan: Any, *, resume: bool) -> None:
             rule = "must go on with the same study, values and seed"
             raise InputError("--resume", rule, str(folder.parent), "name another folder")
     write_json(file, {"mark": mark, "plan": json.loads(json.dumps(plan, default=_listed))})
+
+
+def is_there(folder: Path, k: int) -> bool:
+    """Whether a chunk is finished."""
+    return _file(folder, k).exists()
 
 
 def read(folder: Path, k: int) -> Arrays:
@@ -201,4 +206,4 @@ def _client(where: Where) -> Iterator[Any]:
         yield client
 
 
-__all__ = ["Progress", "Team", "Where", "gather", "prepare", "read"]
+__all__ = ["Progress", "Team", "Where", "gather", "is_there", "prepare", "read"]

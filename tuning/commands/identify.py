@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,31 +15,62 @@ def command(
     logs: Annotated[Path | None, typer.Option(help="Folder of the logs, not the study's.")] = None,
     starts: Annotated[int | None, typer.Option(help="Starts of the search.", min=1)] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the starts.", min=0)] = None,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: this one.")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
 ) -> None:
     """Identify parameters from measurement logs.
 
     Writes drive.toml (the drive with intervals, for `drive.file` of any study), result.json,
-    tables, plots and report.html. Exit 130 when interrupted: what there was is written.
+    tables, plots and report.html. Exit 130 when interrupted: what there was is written, and
+    --resume goes on from the fits that were finished.
     """
     from rich.console import Console
 
     from jaxsim import configure, load
     from jaxsim.provenance import make_folder
+    from jaxsim.scale import Team, Where
     from tuning.identification.spec import read_spec
+    from tuning.identification.spread import Spread
 
     configure()
     what = load(study)
     spec = read_spec(what, starts=starts, seed=seed)
     spec = spec if logs is None else spec._replace(folder=logs)
     make_folder("--out", out)
+    chunks = _chunks(out, resume)
     console = Console()
-    outcome, rivals = _identify(what, spec, console)
+    try:
+        with Team(Where(scheduler, workers)) as team:
+            outcome, rivals = _identify(what, spec, console, Spread(team, chunks))
+    except KeyboardInterrupt:
+        console.print("Interrupted: finished fits are kept; --resume goes on.", style="yellow")
+        raise typer.Exit(130) from None
     _conclude(what, spec, outcome, rivals, out, console)
     if outcome.interrupted:
+        console.print("Interrupted: finished fits are kept; --resume goes on.", style="yellow")
         raise typer.Exit(130)
+    shutil.rmtree(chunks)
 
 
-def _identify(study: Any, spec: Any, console: Any) -> Any:
+def _chunks(out: Path, resume: bool) -> Path:
+    """Where finished fits are kept until all is done.
+
+    Raises: InputError where there are some that nobody asks for, or none to go on from.
+    """
+    from jaxsim.errors import InputError
+
+    chunks = out / "chunks"
+    if chunks.exists() and not resume:
+        fix = "add --resume to go on, or name another folder"
+        raise InputError("--out", "must not hold a search that was stopped", out, fix)
+    if resume and not chunks.exists():
+        rule = "needs a search that was stopped"
+        raise InputError("--resume", rule, f"no {chunks}", "leave --resume out")
+    return chunks
+
+
+def _identify(study: Any, spec: Any, console: Any, fitted: Any) -> Any:
     """The fits under a progress line."""
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -56,8 +88,8 @@ def _identify(study: Any, spec: Any, console: Any) -> Any:
                 more = f": {leg}iteration {p.iteration}, {p.moving} moving, loss {p.loss:.5g}"
             bar.update(task, description=what + more)
 
-        outcome = identify(study, spec, tell)
-        return outcome, [] if outcome.interrupted else compare(study, spec, outcome, tell)
+        outcome = identify(study, spec, tell, fitted)
+        return outcome, [] if outcome.interrupted else compare(study, spec, outcome, tell, fitted)
 
 
 def _conclude(study: Any, spec: Any, outcome: Any, rivals: Any, out: Path, console: Any) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxsim.components import read_toml
 from jaxsim.errors import InputError
 from jaxsim.study import Study, from_table, locate
+from tuning.identification.estimator import Fit, fit
 from tuning.identification.session import Outcome, Tell, identify
 from tuning.identification.spec import Spec, read_spec
 
@@ -27,7 +28,9 @@ class Rival(NamedTuple):
     remark: str
 
 
-def compare(study: Study, spec: Spec, own: Outcome, tell: Tell | None = None) -> list[Rival]:
+def compare(
+    study: Study, spec: Spec, own: Outcome, tell: Tell | None = None, fitted: Fit = fit
+) -> list[Rival]:
     """The study's structure and those of [identify.structures], best on held-out logs first.
 
     A structure is another study file: its drive, law and free parameters are fitted to the logs of
@@ -40,7 +43,7 @@ def compare(study: Study, spec: Spec, own: Outcome, tell: Tell | None = None) ->
     for name, file in spec.structures.items():
         try:
             other = _other(study, file)
-            found = identify(other, read_spec(other), tell)
+            found = identify(other, read_spec(other), tell, fitted)
             rivals.append(_scored(name, found, noise))
         except InputError as error:
             rivals.append(Rival(name, 0, float("nan"), float("nan"), str(error)))

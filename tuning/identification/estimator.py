@@ -11,7 +11,7 @@ Marquardt's scaling.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -69,6 +69,17 @@ class Fits(NamedTuple):
     @property
     def best(self) -> int:
         return int(np.argmin(self.loss))
+
+
+class Fit(Protocol):
+    """`fit`, or what does the same elsewhere."""
+
+    def __call__(
+        self, problem: Problem, starts: np.ndarray, *, who: np.ndarray | None = None,
+        stages: Sequence[Stage] = STAGES, loss: Loss | None = None, iterations: int = 50,
+        tolerance: float = 1e-9, frozen: np.ndarray | None = None,
+        tell: Callable[[Progress], None] | None = None,
+    ) -> Fits: ...  # fmt: skip
 
 
 class _Local(NamedTuple):
@@ -220,4 +231,4 @@ def reduced(
     return _Local(total, gradient, matrix)
 
 
-__all__ = ["STAGES", "Fits", "Progress", "Stage", "fit", "reduced"]
+__all__ = ["STAGES", "Fit", "Fits", "Progress", "Stage", "fit", "reduced"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -91,6 +92,12 @@ class Problem:
     @property
     def signals(self) -> tuple[str, ...]:
         return self.experiments[0].signals
+
+    def narrowed(self, lanes: int) -> Problem:
+        """The same with portions of at most so many runs, and nothing on a device: to be sent."""
+        other = copy.copy(self)
+        other.lanes, other._kept = min(lanes, self.lanes), {}
+        return other
 
     def initial(self) -> np.ndarray:
         """(P,) the values that the experiments hold: where a fit starts if nothing else is said."""

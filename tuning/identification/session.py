@@ -14,7 +14,7 @@ from jaxsim.hybrid import Exact
 from jaxsim.status import Status
 from jaxsim.study import Study
 from tuning.identification import uncertainty
-from tuning.identification.estimator import STAGES, Fits, Progress, Stage, fit
+from tuning.identification.estimator import STAGES, Fit, Fits, Progress, Stage, fit
 from tuning.identification.experiment import Model, model_of
 from tuning.identification.mapping import Recorded, check_loops, experiments
 from tuning.identification.residuals import Evaluation, Problem
@@ -113,11 +113,11 @@ class Outcome(NamedTuple):
         return tree.replace(owner, found)
 
 
-def identify(study: Study, spec: Spec, tell: Tell | None = None) -> Outcome:
+def identify(study: Study, spec: Spec, tell: Tell | None = None, fitted: Fit = fit) -> Outcome:
     """Identify the free parameters of a study from its logs.
 
     tell(what, progress) is called before each part and after each iteration. Ctrl-C ends the
-    search; what there is by then is judged as it is.
+    search; what there is by then is judged as it is. fitted: who fits, such as a `Spread`.
 
     Raises: InputError where logs, columns and study do not fit together, or no run completes.
     """
@@ -130,7 +130,7 @@ def identify(study: Study, spec: Spec, tell: Tell | None = None) -> Outcome:
     free = read_free(spec, recorded[0].experiment)
     problem = Problem([r.experiment for r in recorded], free, dt=dt, width=spec.search.starts)
     train = np.array([i for i, r in enumerate(recorded) if r.use == "fit"])
-    return _Work(study, spec, problem, tuple(recorded), train, remarks, tell).run()
+    return _Work(study, spec, problem, tuple(recorded), train, remarks, tell, fitted).run()
 
 
 class _Work:
@@ -138,10 +138,10 @@ class _Work:
 
     def __init__(
         self, study: Study, spec: Spec, problem: Problem, recorded: tuple[Recorded, ...],
-        train: np.ndarray, remarks: list[str], tell: Tell,
+        train: np.ndarray, remarks: list[str], tell: Tell, fitted: Fit,
     ) -> None:  # fmt: skip
         self.study, self.spec, self.problem, self.recorded = study, spec, problem, recorded
-        self.train, self.remarks, self.tell = train, remarks, tell
+        self.train, self.remarks, self.tell, self.fitted = train, remarks, tell, fitted
         self.loss = spec.search.loss
         everyone = np.arange(len(problem.experiments))
         self.test = np.setdiff1d(everyone, train)
@@ -201,7 +201,7 @@ class _Work:
     def _search(self, initial: np.ndarray) -> Fits:
         starts = self._starts(initial)
         who = np.tile(self.train, (len(starts), 1))
-        fits = fit(
+        fits = self.fitted(
             self.problem, starts, who=who, stages=STAGES, loss=self.loss,
             iterations=self.spec.search.iterations, tell=lambda p: self.tell("search", p),
         )  # fmt: skip
@@ -227,7 +227,7 @@ class _Work:
         self, values: np.ndarray, what: str, who: np.ndarray, frozen: Any = None,
         stages: Sequence[Stage] = _LAST,
     ) -> Fits:  # fmt: skip
-        found = fit(
+        found = self.fitted(
             self.problem, values, who=who, stages=stages, loss=self.loss, frozen=frozen,
             iterations=self.spec.search.iterations, tell=lambda p: self.tell(what, p),
         )  # fmt: skip
@@ -276,6 +276,7 @@ class _Work:
                 uncertainty.profile(
                     self.problem, best, column, seen, self.loss, self.spec.search.confidence,
                     who=self.train, tell=lambda p, n=name: self.tell(f"profile of {n}", p),
+                    fitted=self.fitted,
                 )
             )  # fmt: skip
         return tuple(found)
@@ -289,7 +290,7 @@ class _Work:
             raise InputError("identify.bootstrap", "needs at least 3 logs to draw from", got, "0")
         return uncertainty.bootstrap(
             self.problem, best, self.loss, self.train, count, self.spec.search.seed,
-            tell=lambda p: self.tell("bootstrap", p),
+            tell=lambda p: self.tell("bootstrap", p), fitted=self.fitted,
         )  # fmt: skip
 
     def _alone(self, best: np.ndarray) -> tuple[Alone, ...]:

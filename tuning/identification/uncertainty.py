@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from jaxsim.hybrid import Exact
-from tuning.identification.estimator import Progress, Stage, fit
+from tuning.identification.estimator import Fit, Progress, Stage, fit
 from tuning.identification.residuals import Evaluation, Problem
 from tuning.identification.robust import Loss
 
@@ -206,7 +206,7 @@ class Profile(NamedTuple):
 def profile(
     problem: Problem, best: np.ndarray, column: int, seen: Covariance, loss: Loss,
     confidence: float, *, who: np.ndarray, points: int = 11,
-    tell: Callable[[Progress], None] | None = None,
+    tell: Callable[[Progress], None] | None = None, fitted: Fit = fit,
 ) -> Profile:  # fmt: skip
     """The profile likelihood of one unknown over three intervals' width.
 
@@ -223,7 +223,7 @@ def profile(
     frozen = np.zeros_like(starts, bool)
     frozen[:, column] = True
     whose = np.tile(who, (len(grid), 1))
-    found = fit(problem, starts, who=whose, stages=_LAST, loss=loss, frozen=frozen, tell=tell)
+    found = fitted(problem, starts, who=whose, stages=_LAST, loss=loss, frozen=frozen, tell=tell)
     least = float(found.loss.min())
     kappa = seen.matrix[column, column] / seen.naive[column, column]
     rise = 0.5 * quantile**2 * kappa
@@ -249,7 +249,7 @@ def _crossings(grid: np.ndarray, loss: np.ndarray, rise: float) -> tuple[float, 
 
 def bootstrap(
     problem: Problem, best: np.ndarray, loss: Loss, who: np.ndarray, samples: int, seed: int,
-    *, tell: Callable[[Progress], None] | None = None,
+    *, tell: Callable[[Progress], None] | None = None, fitted: Fit = fit,
 ) -> np.ndarray:  # fmt: skip
     """(samples, P) fits to experiments drawn with replacement, from the best fit on.
 
@@ -258,5 +258,5 @@ def bootstrap(
     """
     draws = np.random.default_rng(seed).choice(who, (samples, len(who)))
     starts = np.tile(best, (samples, 1))
-    found = fit(problem, starts, who=draws, stages=_LAST, loss=loss, tell=tell)
+    found = fitted(problem, starts, who=draws, stages=_LAST, loss=loss, tell=tell)
     return found.values[np.isfinite(found.loss)]

@@ -1,0 +1,85 @@
+"""Searches and trainings spread over workers: the same to the bit as on one machine."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import identification_logs as logs
+import numpy as np
+import pytest
+
+from jaxsim import scale
+from tuning.identification import spread as fits_spread
+from tuning.identification.estimator import STAGES, Fits, fit
+from tuning.identification.residuals import Problem
+
+
+class Elsewhere:
+    """A team in this process that is given what workers are given: pickled jobs."""
+
+    here = False
+
+    def __init__(self) -> None:
+        self.computed: list[int] = []
+
+    def compute(self, work: Any, job: Any, chunks: int, folder: Path, *, tell: Any) -> None:
+        sent = pickle.dumps((work, job))
+
+        def remote(_: Any, k: int) -> scale.Arrays:
+            self.computed.append(k)
+            does, given = pickle.loads(sent)
+            return does(given, k)
+
+        scale.Team().compute(remote, None, chunks, folder, tell=tell)
+
+
+def _fits_problem() -> tuple[Problem, np.ndarray, np.ndarray]:
+    recorded, truth = logs.random_bench_logs(4)
+    starts = truth * (1.0 + 0.1 * np.random.default_rng(1).choice([-1.0, 1.0], truth.shape))
+    problem = Problem(recorded, logs.unknown(recorded[0]), dt=2e-4, width=4)
+    return problem, starts, np.arange(4)[:, None]
+
+
+def test_fits_in_chunks_are_the_same_to_the_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, starts, who = _fits_problem()
+    how: dict[str, Any] = {"who": who, "stages": STAGES[-2:], "iterations": 4}
+    whole = fit(problem, starts, **how)
+    monkeypatch.setattr(fits_spread, "_RUNS", 3)
+    team = Elsewhere()
+    spread = fits_spread.Spread(team, tmp_path)  # type: ignore[arg-type]
+    chunks = spread(problem, starts, **how)
+    assert team.computed == [0, 1]
+    for name in Fits._fields:
+        np.testing.assert_array_equal(getattr(whole, name), getattr(chunks, name))
+    spread(problem, starts, **how)
+    assert team.computed == [0, 1]  # found on disk
+    spread(problem, starts * 1.01, **how)
+    assert team.computed == [0, 1, 0, 1]  # another search
+
+
+def test_an_interrupted_search_keeps_its_finished_fits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, starts, who = _fits_problem()
+    how: dict[str, Any] = {"who": who, "stages": STAGES[-1:], "iterations": 1}
+    monkeypatch.setattr(fits_spread, "_RUNS", 3)
+
+    def stop(progress: Any) -> None:
+        if progress.iteration == 1:
+            raise KeyboardInterrupt
+
+    spread = fits_spread.Spread(Elsewhere(), tmp_path)  # type: ignore[arg-type]
+    kept = spread(problem, starts, tell=stop, **how)
+    assert kept.interrupted
+    assert np.isfinite(kept.loss).tolist() == [True, True, True, False]
+    np.testing.assert_array_equal(kept.values[3], starts[3])
+    team = Elsewhere()
+    whole = fits_spread.Spread(team, tmp_path)(problem, starts, **how)  # type: ignore[arg-type]
+    assert team.computed == [1]
+    assert np.isfinite(whole.loss).all()
+    with pytest.raises(KeyboardInterrupt):  # nothing to keep
+        spread(problem, 1.01 * starts, tell=lambda p: stop(p._replace(iteration=1)), **how)
