@@ -10,10 +10,14 @@ import identification_logs as logs
 import numpy as np
 import pytest
 
-from jaxsim import scale
+from jaxsim import load, scale
+from tuning import spread as calls_spread
 from tuning.identification import spread as fits_spread
 from tuning.identification.estimator import STAGES, Fits, fit
 from tuning.identification.residuals import Problem
+from tuning.problem import LANES
+from tuning.problem import Problem as Drives
+from tuning.spec import read_spec
 
 
 class Elsewhere:
@@ -24,7 +28,7 @@ class Elsewhere:
     def __init__(self) -> None:
         self.computed: list[int] = []
 
-    def compute(self, work: Any, job: Any, chunks: int, folder: Path, *, tell: Any) -> None:
+    def compute(self, work: Any, job: Any, chunks: int, folder: Path, *, tell: Any = None) -> None:
         sent = pickle.dumps((work, job))
 
         def remote(_: Any, k: int) -> scale.Arrays:
@@ -32,7 +36,7 @@ class Elsewhere:
             does, given = pickle.loads(sent)
             return does(given, k)
 
-        scale.Team().compute(remote, None, chunks, folder, tell=tell)
+        scale.Team().compute(remote, None, chunks, folder, tell=tell or (lambda p: None))
 
 
 def _fits_problem() -> tuple[Problem, np.ndarray, np.ndarray]:
@@ -83,3 +87,21 @@ def test_an_interrupted_search_keeps_its_finished_fits(
     assert np.isfinite(whole.loss).all()
     with pytest.raises(KeyboardInterrupt):  # nothing to keep
         spread(problem, 1.01 * starts, tell=lambda p: stop(p._replace(iteration=1)), **how)
+
+
+def test_the_calls_of_an_evaluation_are_the_same_to_the_bit(tmp_path: Path) -> None:
+    study = load("bench_worst_case")
+    spec = read_spec(study)
+    points = np.random.default_rng(0).uniform(0.2, 0.8, (5, len(spec.free)))
+    drives = np.arange(1, 15)  # 70 runs: two calls in each scenario, the second one filled up
+    assert LANES < len(points) * len(drives) < 2 * LANES
+    here = Drives(study, spec).evaluate(points, drives)
+    team = Elsewhere()
+    spread = calls_spread.Spread(team, tmp_path)  # type: ignore[arg-type]
+    there = Drives(study, spec, spread)
+    for _ in range(2):
+        for alone, shared in zip(here, there.evaluate(points, drives), strict=True):
+            np.testing.assert_array_equal(alone, shared)
+        assert team.computed == list(range(2 * len(study.scenarios)))  # the second time: on disk
+    there.evaluate(points[:1], drives[:3])
+    assert len(list(tmp_path.iterdir())) == 1  # the last evaluation is kept, no other

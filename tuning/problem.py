@@ -39,15 +39,20 @@ class Outcome(NamedTuple):
     status: np.ndarray
 
 
+# All calls of an evaluation: values, slopes and status of each, in their order.
+Share = Callable[["Problem", np.ndarray, np.ndarray], list[list[np.ndarray]]]
+
+
 class Problem:
     """The runs that a study is tuned on.
 
     drives: (count, spreads), values of the uncertain parameters; the first is the study's drive.
-    scenarios: names. metrics: those of the objective.
+    scenarios: names. metrics: those of the objective. share: who makes the calls of an evaluation.
     """
 
-    def __init__(self, study: Study, spec: Spec) -> None:
+    def __init__(self, study: Study, spec: Spec, share: Share | None = None) -> None:
         self.study, self.spec = study, spec
+        self.share = share or in_threads
         self.drives = spec.drives
         self.scenarios = tuple(study.scenarios)
         self.metrics = spec.objective.metrics()
@@ -80,7 +85,7 @@ class Problem:
         return "; ".join(broken) or Status(status).words
 
     @cached_property
-    def _runs(self) -> list[Callable[..., Any]]:
+    def runs(self) -> list[Callable[..., Any]]:
         """Per scenario the compiled call on (lanes, P) gains and (lanes, spreads) drives.
 
         Scenarios of one structure (kinds of signals, duration) share it.
@@ -131,9 +136,7 @@ class Problem:
 
     def evaluate(self, points: np.ndarray, drives: np.ndarray) -> Outcome:
         """Laws at unit coordinates (n, P) on drives (d,) by index, each with each."""
-        gains = np.repeat(space.to_gains(self.spec.free, points), len(drives), axis=0)
-        own = np.tile(self.drives[drives], (len(points), 1))
-        values, slopes, status = self._all(gains, own)
+        values, slopes, status = self._all(points, drives)
         shape = (len(points), len(drives))
         count, axes = values.shape[1:3]
         values = values.reshape(*shape, count * axes, *values.shape[3:])
@@ -141,28 +144,37 @@ class Problem:
         scale = space.slope(self.spec.free, points)[:, None, None, None, :]
         return Outcome(values, slopes * scale, status.reshape(*shape, count))
 
-    def _all(self, gains: np.ndarray, drives: np.ndarray) -> list[np.ndarray]:
-        """Any number of laws and drives in every scenario: arrays (runs, scenarios, ...).
-
-        In calls of one size; the last one of a scenario is filled up by its last run.
-        """
-        count = len(gains)
-        rows = np.minimum(np.arange(-(-count // self._lanes) * self._lanes), count - 1)
-        calls = [(run, own) for run in self._runs for own in rows.reshape(-1, self._lanes)]
-
-        def part(call: tuple[Any, np.ndarray]) -> Any:
-            run, chosen = call
-            return jax.block_until_ready(
-                run(jnp.asarray(gains[chosen]), jnp.asarray(drives[chosen]))
-            )
-
-        # A call of XLA keeps one core busy: 128 runs take 1.45 s in a row and 0.98 s in threads
-        # (with 8 other processes on the 2 cores).
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            parts = list(pool.map(part, calls))
-        whole = [np.concatenate([np.asarray(p[k]) for p in parts]) for k in range(3)]
-        shape = (len(self.scenarios), len(rows))
+    def _all(self, points: np.ndarray, drives: np.ndarray) -> list[np.ndarray]:
+        """Arrays (runs, scenarios, ...) of all calls, without what filled them up."""
+        parts = self.share(self, points, drives)
+        whole = [np.concatenate([p[k] for p in parts]) for k in range(3)]
+        shape, count = (len(self.scenarios), -1), len(points) * len(drives)
         return [np.moveaxis(a.reshape(*shape, *a.shape[1:])[:, :count], 0, 1) for a in whole]
+
+    def calls(self, points: np.ndarray, drives: np.ndarray) -> int:
+        """How many calls of one size an evaluation takes, scenario by scenario."""
+        return len(self.scenarios) * -(-len(points) * len(drives) // self._lanes)
+
+    def call(self, points: np.ndarray, drives: np.ndarray, k: int) -> list[np.ndarray]:
+        """Values, slopes and status of call k; the last of a scenario is filled up."""
+        scenario, part = divmod(k, self.calls(points, drives) // len(self.scenarios))
+        rows = np.arange(part * self._lanes, (part + 1) * self._lanes)
+        point, drive = np.divmod(np.minimum(rows, len(points) * len(drives) - 1), len(drives))
+        gains = jnp.asarray(space.to_gains(self.spec.free, points)[point])
+        own = jnp.asarray(self.drives[drives[drive]])
+        return [np.asarray(v) for v in self.runs[scenario](gains, own)]
+
+
+def in_threads(problem: Problem, points: np.ndarray, drives: np.ndarray) -> list[list[np.ndarray]]:
+    """All calls of an evaluation, over the cores.
+
+    A call of XLA keeps one core busy: 128 runs take 1.45 s in a row and 0.98 s in threads (with 8
+    other processes on the 2 cores).
+    """
+    _ = problem.runs  # compiled once, before threads ask for them
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        calls = range(problem.calls(points, drives))
+        return list(pool.map(partial(problem.call, points, drives), calls))
 
 
 def _call(compiled: Any, scenario: Any, gains: Any, drives: Any) -> Any:

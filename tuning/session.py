@@ -17,7 +17,7 @@ from jaxsim.errors import InputError
 from jaxsim.study import Study
 from tuning import checkpoint, solver, space, working
 from tuning.local import Local, localise
-from tuning.problem import Outcome, Problem
+from tuning.problem import Outcome, Problem, Share
 from tuning.solver import FAILED, RUNNING, SPENT, State
 from tuning.spec import Spec
 
@@ -69,9 +69,9 @@ class Session:
     history: one table per start and iteration.
     """
 
-    def __init__(self, study: Study, spec: Spec, file: Path) -> None:
+    def __init__(self, study: Study, spec: Spec, file: Path, share: Share | None = None) -> None:
         self.study, self.spec, self.file = study, spec, file
-        self.problem = Problem(study, spec)
+        self.problem = Problem(study, spec, share)
         self.stage = SCREEN if spec.screen < spec.count else FULL
         self.states: list[State] = []
         self.drives = np.arange(spec.count)

@@ -22,18 +22,20 @@ def command(
         tuple[str, str] | None,
         typer.Option("--map", help="Two gains: their map, too, as `gearlash map` has it."),
     ] = None,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: this one.")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
 ) -> None:
     """Tune gains by gradients over a batch of drives, under hard limits."""
     import jaxsim
 
     jaxsim.configure()
-    from rich.console import Console
-
     from jaxsim.provenance import make_folder
+    from jaxsim.scale import Where
     from jaxsim.study import load
-    from tuning import session as sessions
+    from tuning.session import Session
     from tuning.spec import read_spec
+    from tuning.spread import sharing
 
     what = load(study, law=law)
     spec = read_spec(what, starts=starts, seed=seed)
@@ -41,7 +43,16 @@ def command(
     make_folder("--out", out)
     if not resume:
         _refuse_finished(out)
-    session = sessions.Session(what, spec, out / "checkpoint.json")
+    with sharing(Where(scheduler, workers), out / "chunks", resume=resume) as share:
+        _tune(Session(what, spec, out / "checkpoint.json", share), beside, out, resume)
+
+
+def _tune(session: Any, beside: Beside, out: Path, resume: bool) -> None:
+    """The search and its results; Ctrl-C at any moment keeps what there is."""
+    from rich.console import Console
+
+    from tuning import session as sessions
+
     console = Console()
     if resume:
         with console.status("Taking up the search ..."):
