@@ -17,7 +17,6 @@ from jaxsim.status import Status
 from rl import store
 from rl.classical import Rival, Tuned, conditions, rivals, run_law, tune
 from rl.episodes import score, unseen_keys
-from rl.session import Session
 from rl.study import Comparison
 
 _RESAMPLED = 2000
@@ -59,26 +58,6 @@ class Line(NamedTuple):
     wins: dict[str, float]
     steps: float
     cpu: float
-
-
-def train_all(study: Comparison, folder: Path, tell: Callable[[str, Any, Any], None]) -> None:
-    """Every training that is not complete yet; one that was stopped goes on.
-
-    tell(name, spec, row) after each validation; row None where a training is there already.
-    """
-    for name, spec in study.trainings():
-        own = folder / name
-        if (own / "result.json").exists():
-            store.check_same(own, spec)
-            tell(name, spec, None)
-            continue
-        own.mkdir(parents=True, exist_ok=True)
-        begun = (own / "state.json").exists()
-        if begun:
-            store.check_same(own, spec)
-        session = Session(spec, own, resume=begun)
-        session.run(lambda row, name=name, spec=spec: tell(name, spec, row))
-        store.write_result(own, spec, session.rows, session.test())
 
 
 def unit_of(env: Environment) -> str:
@@ -239,7 +218,6 @@ __all__ = [
     "nominal_laws",
     "sentences",
     "table",
-    "train_all",
     "tuned",
     "unit_of",
 ]

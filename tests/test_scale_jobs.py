@@ -9,8 +9,12 @@ from typing import Any
 import identification_logs as logs
 import numpy as np
 import pytest
+from agent_cases import PUSH
 
 from jaxsim import load, scale
+from rl import store
+from rl.spec import read_spec as read_training
+from rl.trainings import train_all
 from tuning import spread as calls_spread
 from tuning.identification import spread as fits_spread
 from tuning.identification.estimator import STAGES, Fits, fit
@@ -105,3 +109,25 @@ def test_the_calls_of_an_evaluation_are_the_same_to_the_bit(tmp_path: Path) -> N
         assert team.computed == list(range(2 * len(study.scenarios)))  # the second time: on disk
     there.evaluate(points[:1], drives[:3])
     assert len(list(tmp_path.iterdir())) == 1  # the last evaluation is kept, no other
+
+
+def test_trainings_on_workers_are_the_same_to_the_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("jaxsim.configure", lambda **_: None)  # the tests' own stays in force
+    small: dict[str, Any] = {"steps": 480, "segment": 240, "envs": 8, "hidden": [8]}
+    small |= {"algorithm.n_steps": 30, "algorithm.batch_size": 120, "validation": 4}
+    named = [(f"seed-{s}", read_training(PUSH, "ppo", s, small)) for s in (0, 1)]
+    here, there = tmp_path / "here", tmp_path / "there"
+    train_all(named[:1], there, lambda name, spec, row: None)  # there already
+    team, told = Elsewhere(), []
+    train_all(named, there, lambda name, spec, row: told.append((name, row)), team)  # type: ignore[arg-type]
+    assert team.computed == [0]
+    assert [(name, row is None) for name, row in told] == [("seed-0", True), ("seed-1", False)]
+    train_all(named, here, lambda name, spec, row: None)
+    for name, _ in named:
+        policies = [(folder / name / "policy.json").read_bytes() for folder in (here, there)]
+        assert policies[0] == policies[1]
+        rows = [store.read_rows(folder / name) for folder in (here, there)]
+        assert [r[:-1] for r in rows[0]] == [r[:-1] for r in rows[1]]  # all but CPU time
+    assert not (there / "chunks").exists()

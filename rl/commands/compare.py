@@ -11,6 +11,8 @@ import typer
 def command(
     study: Annotated[str, typer.Argument(help="Comparison file, or the name of a shipped one.")],
     out: Annotated[Path, typer.Option(help="Folder for trainings, table, plots, report.")],
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0: this one.")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
 ) -> None:
     """Train what is missing, score agents and classical laws alike, write a report.
 
@@ -26,11 +28,14 @@ def command(
     from rich.console import Console
 
     from jaxsim.provenance import make_folder
+    from jaxsim.scale import Where
+    from rl.commands._progress import train_under_a_bar
 
     make_folder("--out", out)
     console = Console()
     try:
-        _train(what, out / "agents", console)
+        where = Where(scheduler, workers)
+        train_under_a_bar(what.trainings(), out / "agents", where, console)
         lines, words = _compare(what, out, console)
     except KeyboardInterrupt:
         console.print("Interrupted: trainings are kept; the same command goes on.", style="yellow")
@@ -39,39 +44,6 @@ def command(
     console.print(
         f"Wrote table.csv, comparison.json, tuned_law.toml, plots and report.html to {out}"
     )
-
-
-def _train(what: Any, folder: Path, console: Any) -> None:
-    """All trainings under one progress bar, in units of trainings."""
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    from rl.comparison import train_all
-
-    columns = (
-        TextColumn("trainings"),
-        BarColumn(bar_width=16),
-        TextColumn("{task.completed:.1f} of {task.total}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[shown]}"),
-    )
-    order = [name for name, _ in what.trainings()]
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("", total=len(order), shown="compiling")
-
-        def tell(name: str, spec: Any, row: Any) -> None:
-            share = 1.0 if row is None else row.done / spec.total
-            shown = f"{name}: " + ("there already" if row is None else f"cost {row.cost:.4g}")
-            bar.update(task, completed=order.index(name) + min(share, 1.0), shown=shown)
-
-        train_all(what, folder, tell)
 
 
 def _compare(what: Any, out: Path, console: Any) -> tuple[Any, list[str]]:

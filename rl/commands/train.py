@@ -7,22 +7,39 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxsim.errors import InputError
+
 
 def command(
     task: Annotated[str, typer.Argument(help="Task, such as backlash_position.")],
     out: Annotated[Path, typer.Option(help="Folder for policy, curve and checkpoints.")],
     algo: Annotated[str, typer.Option(help="apg, ppo, sac or td3.")] = "apg",
     seed: Annotated[int, typer.Option(min=0, help="Of weights and training episodes.")] = 0,
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Trainings, from --seed on; several: in OUT/seed-N each.")
+    ] = 1,
     change: Annotated[
         list[str] | None,
         typer.Option("--set", help="NAME=VALUE for an entry of the preset; repeat."),
     ] = None,
+    workers: Annotated[int, typer.Option(min=0, help="Processes for --seeds; 0: this one.")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
 ) -> None:
     """Train an agent: analytic policy gradients, or PPO, SAC, TD3 of stable-baselines3."""
     from jaxsim.commands.simulate import pairs
+    from jaxsim.scale import Where
     from rl.spec import read_spec
     from rl.store import read_spec_of
+
+    where = Where(scheduler, workers)
+    if seeds > 1:
+        every = range(seed, seed + seeds)
+        specs = [read_spec(task, algo, s, pairs(change or [])) for s in every]
+        return _train_many(specs, out, where, resume)
+    if where != Where():
+        fix = "add --seeds, or leave it out"
+        raise InputError("--workers, --scheduler", "need several trainings", "one", fix)
 
     if resume:
         if change:
@@ -52,16 +69,44 @@ def command(
     _conclude(session, console)
 
 
-def _refuse_changes() -> None:
-    from jaxsim.errors import InputError
+def _train_many(specs: list[Any], out: Path, where: Any, resume: bool) -> None:
+    """One training per seed, here or on workers; one that is complete is not made again."""
+    import jaxsim
 
+    jaxsim.configure(x64=False)
+    from rich.console import Console
+
+    from jaxsim.components import read_json
+    from jaxsim.provenance import make_folder
+    from rl.commands._progress import train_under_a_bar
+    from rl.figures import learning
+    from rl.store import read_rows
+
+    make_folder("--out", out)
+    named = [(f"seed-{spec.seed}", spec) for spec in specs]
+    if not resume:
+        for name, _ in named:
+            _keep_what_is_there(out / name)
+    console = Console()
+    try:
+        train_under_a_bar(named, out, where, console)
+    except KeyboardInterrupt:
+        console.print("Interrupted: --resume goes on.", style="yellow")
+        raise typer.Exit(130) from None
+    learning(out / "learning.png", {specs[0].algo: [read_rows(out / n) for n, _ in named]},
+             specs[0].task)  # fmt: skip
+    for name, _ in named:
+        result = read_json(out / name / "result.json")
+        console.print(f"{name}: median cost {result['test_cost_median']:.4g} on test episodes")
+    console.print(f"Wrote a folder per seed and learning.png: {out}")
+
+
+def _refuse_changes() -> None:
     fix = "leave out --set, or train into another folder"
     raise InputError("--resume", "goes on with the spec in the folder", "--set", fix)
 
 
 def _keep_what_is_there(out: Path) -> None:
-    from jaxsim.errors import InputError
-
     if (out / "state.json").exists():
         fix = "add --resume to go on, or name another folder"
         raise InputError("--out", "must not hold a training already", out, fix)
