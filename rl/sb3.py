@@ -22,6 +22,7 @@ from rl.trainer import Trainer
 
 _ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_LOOSE = "tensors"
 _COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 
 
@@ -71,7 +72,10 @@ class SB3(Trainer):
         return network_of(self.model, self._venv)
 
     def save(self, folder: Path) -> None:
-        torch.save(self.model.get_parameters(), folder / "parameters.pt")
+        # SAC's temperature is a tensor of its own, which `get_parameters` leaves out.
+        loose = {name: getattr(self.model, name).detach() for name in self._loose()}
+        parameters = self.model.get_parameters() | {_LOOSE: loose}
+        torch.save(parameters, folder / "parameters.pt")
         own: dict[str, Any] = {name: np.asarray(getattr(self.model, name)) for name in _COUNTS}
         for name in ("obs_rms", "ret_rms"):
             statistics = getattr(self._venv, name)
@@ -85,8 +89,19 @@ class SB3(Trainer):
             place: dict[str, Any] = {"pos": np.asarray(replay.pos), "full": np.asarray(replay.full)}
             np.savez(folder / "replay.npz", **kept, **place)
 
+    def _loose(self) -> list[str]:
+        """Names of the tensors that are trained and belong to no module."""
+        return list(self.model._get_torch_save_params()[1])
+
     def load(self, folder: Path) -> None:
-        self.model.set_parameters(_read_torch(folder / "parameters.pt"), device="cpu")
+        parameters = _read_torch(folder / "parameters.pt")
+        loose = parameters.pop(_LOOSE, {})
+        if set(loose) != set(self._loose()):
+            rule, found = f"must hold the tensors {self._loose()}", sorted(loose)
+            raise InputError(str(folder / "parameters.pt"), rule, found, "train anew")
+        self.model.set_parameters(parameters, device="cpu")
+        for name in self._loose():
+            getattr(self.model, name).data = loose[name]
         own = arrays.read(folder / "statistics.npz")
         for name in _COUNTS:
             setattr(self.model, name, int(own[name]))
