@@ -32,6 +32,8 @@ _PER_EVENT = 3
 # Reverse mode keeps one carry per chunk and recomputes the chunk. A second checkpoint around each
 # micro-step saves no memory at this size and makes gradients a third slower.
 _CHUNK = 64
+# A sampled law reads signals so much after its tick, as a share of a step.
+_AFTER = 1e-3
 
 
 class Carry(NamedTuple):
@@ -113,8 +115,7 @@ def advance(
     """Advance one run to tick `until` by at most `steps` micro-steps.
 
     This is the only loop that moves a drive. Its status says whether it arrived. Members of a
-    batch that have arrived idle until the last one has; with `stored`, or where a derivative is
-    taken, the loop has its full length.
+    batch that have arrived idle until the last one has.
     """
     marks = None
     if stored:
@@ -128,16 +129,26 @@ def advance(
 def _scanned(
     loop: ClosedLoop, carry: Carry, until: Any, metrics: Any, steps: int, stored: bool
 ) -> tuple[Carry, Mark | None]:
-    """`steps` micro-steps, or a few more: a loop that both modes of differentiation can take."""
+    """`steps` micro-steps, or a few more: a loop that both modes of differentiation can take.
+
+    Chunks after the last arrival are skipped: a fifth of a run's steps is room for events.
+    """
     chunks = -(-steps // _CHUNK)
 
     def micro(c: Carry, _: None) -> tuple[Carry, Mark | None]:
         return _micro_step(loop, c, until, metrics, stored)
 
-    def chunk(c: Carry, _: None) -> tuple[Carry, Mark | None]:
+    def chunk(c: Carry) -> tuple[Carry, Mark | None]:
         return jax.lax.scan(micro, c, None, length=-(-steps // chunks))
 
-    carry, marks = jax.lax.scan(jax.checkpoint(chunk), carry, None, length=chunks)
+    def idle(c: Carry) -> tuple[Carry, Mark | None]:
+        marks = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(chunk, c)[1])
+        return c, marks._replace(event=marks.event - 1) if stored else None
+
+    def going(c: Carry, _: None) -> tuple[Carry, Mark | None]:
+        return jax.lax.cond(any_member(_active(c, until)), chunk, idle, c)
+
+    carry, marks = jax.lax.scan(jax.checkpoint(going), carry, None, length=chunks)
     if stored:
         marks = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), marks)
     return carry, marks
@@ -289,7 +300,9 @@ def _micro_step(
     ticked = verdict.accept & ~verdict.landed & trial.to_tick
     new = _moved(c, trial, verdict, x, length, ticked)
     if loop.clocked:
-        now = When(trial.when.t + length, trial.when.t + length)
+        end = trial.when.t + length
+        # The piece that begins here: rounding of `end` must not leave it on the one before.
+        now = When(end, end + _AFTER * loop.dt)
         turned = loop.on_tick(new.tick, now, x, new.modes, c.held)
         new = new._replace(held=choose(ticked, turned, c.held))
     new = new._replace(folds=_fold(loop, metrics, c, trial, x, length, verdict.accept))

@@ -18,6 +18,7 @@ from jaxsim.laws.servo import Servo
 from jaxsim.loads.inertia import Inertia
 from jaxsim.loads.pendulum import Pendulum
 from jaxsim.motors.geared import Geared
+from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
 from jaxsim.signals.delayed import Delayed
@@ -90,6 +91,16 @@ def test_a_delay_moves_a_step_and_its_derivative() -> None:
     np.testing.assert_allclose(jax.jvp(speed, (0.0503,), (1.0,))[1], -2.0, rtol=1e-6)
 
 
+def test_a_law_reads_the_held_sample_that_begins_at_its_tick() -> None:
+    """Whatever rounding makes of k * 1 ms: sample k at tick k, not the one before."""
+    numbers = np.arange(2000.0)
+    drive = Drive(Geared(J_M=1.0), Elastic(K=100.0), Inertia(J_L=1.0))
+    scenario = Scenario(Samples(numbers, 1e-3, "hold", on_ticks=True), duration=2.0)
+    law = Sampled(Feedforward(), 1e-3)
+    run = jaxsim.simulate(drive, law, scenario, dt=5e-4, metrics=(), store=2)
+    np.testing.assert_array_equal(run.signals["command"][:-1], numbers)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not EMPS.exists(), reason="the EMPS recording is not in ../shared/data")
 def test_emps_under_pulses_agrees_with_the_recording() -> None:
@@ -124,7 +135,7 @@ SERVO = DATA / "sts3215_servo" / "raw_100hz.npz"
 @pytest.mark.skipif(not SERVO.exists(), reason="the servo recordings are not in ../shared/data")
 def test_the_servo_model_holds_for_loads_it_was_not_fitted_to() -> None:
     """480 runs with four other loads, from the goal alone: below 14 mrad (published M6: 44.5)."""
-    path = Path(__file__).parents[1] / "examples" / "identify_servo.py"
+    path = Path(__file__).parents[1] / "benchmarks" / "identify_servo.py"
     spec = importlib.util.spec_from_file_location("identify_servo", path)
     assert spec is not None
     assert spec.loader is not None
