@@ -51,6 +51,7 @@ _SENSORS = {
     "true_speeds": sampled.TrueSpeeds,
     "differences": sampled.Differences,
     "encoders": sampled.Encoders,
+    "filtered": sampled.Filtered,
     "noisy": sampled.Noisy,
 }
 _STRUCTURE = {"sampled": sampled.Sampled, "decentral": laws.Decentral}

@@ -15,6 +15,7 @@ from jaxsim.law import Measured, Scalar, Supervised, as_joint_law, share
 from jaxsim.parameters import all_valid
 from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario
+from jaxsim.tree import cast as cast
 
 UNITS = {
     "reference": "rad or Nm",
@@ -301,11 +302,3 @@ class ClosedLoop(eqx.Module):
     @property
     def breaks(self) -> int:
         return sum(s.breaks for s in self.scenario.signals())
-
-
-def cast(tree: Any, dtype: Any) -> Any:
-    """All inexact leaves of a tree in one dtype."""
-    return jax.tree.map(
-        lambda v: jnp.asarray(v, dtype) if jnp.issubdtype(jnp.asarray(v).dtype, jnp.inexact) else v,
-        tree,
-    )

@@ -1,9 +1,10 @@
-"""A control law as a computer runs it: Tustin's rule, zero-order hold, delay, encoders."""
+"""A control law as a computer runs it: Tustin's rule, hold, delay, encoders, filters, float32."""
 
 from __future__ import annotations
 
 import abc
-from typing import Any, NamedTuple
+import functools
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,9 +12,10 @@ import jax.numpy as jnp
 from jax.extend.random import threefry_2x32
 
 from jaxsim.errors import InputError
-from jaxsim.hybrid import Plain, Switch, switch_all
-from jaxsim.law import Control, Decentral, Law, Measured, Scalar
-from jaxsim.parameters import NON_NEGATIVE, Parameters, parameter
+from jaxsim.hybrid import Plain, switch_all
+from jaxsim.law import Control, Decentral, JointLaw, Law, Measured, Scalar, Supervised
+from jaxsim.parameters import NON_NEGATIVE, POSITIVE, Parameters, parameter
+from jaxsim.tree import cast
 
 # Commands under way are kept one by one in the state: a delay of thousands of periods, which was
 # meant in another unit, would compile for minutes.
@@ -45,7 +47,7 @@ class TrueSpeeds(Sensors):
 class Differences(Sensors):
     """Exact angles, speeds as their backward differences over one period.
 
-    What encoders of infinitely many counts read: with derivatives, for training through a run.
+    What encoders of infinitely many counts read.
     """
 
     def read(
@@ -65,8 +67,8 @@ class Encoders(Sensors):
     """Angles rounded to counts, speeds as their backward differences over one period.
 
     counts: per revolution, on motor and load (2018 paper: 2^20). The joint torque is measured
-    by its own sensor and stays as it is. Rounding has no useful derivative: gradients through
-    encoders are zero by construction.
+    by its own sensor and stays as it is. The derivative is that of the angle itself: that of
+    rounding is zero, and a gradient would not see what the law feeds back.
     """
 
     counts: int = eqx.field(static=True, default=2**20)
@@ -78,10 +80,40 @@ class Encoders(Sensors):
     def read(
         self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
     ) -> Measured:
-        step = 2.0 * jnp.pi / self.counts
-        theta_L, theta_M = (step * jnp.round(angle / step) for angle in (y.theta_L, y.theta_M))
+        count = 2.0 * jnp.pi / self.counts
+        theta_L, theta_M = (_rounded(angle, count) for angle in (y.theta_L, y.theta_M))
         rounded = y._replace(theta_L=theta_L, theta_M=theta_M)
         return Differences().read(rounded, last, ratio, period, number)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _rounded(angle: Scalar, count: float) -> Scalar:
+    return count * jnp.round(angle / count)
+
+
+@_rounded.defjvp
+def _passed_through(count: float, angle: Any, tangent: Any) -> tuple[Scalar, Scalar]:
+    return _rounded(*angle, count), tangent[0]
+
+
+class Filtered(Sensors):
+    """`sensors` behind a low-pass on both speeds: w_k = w_{k-1} + (1 - a)(v_k - w_{k-1}).
+
+    a = exp(-2 pi cutoff period): the first-order low-pass with its input held over a period, the
+    fixed velocity filter of many drives. Angles and torque stay as they are.
+    """
+
+    sensors: Sensors
+    cutoff: Scalar = parameter("Hz", "cut-off of the low-pass", rule=POSITIVE)
+
+    def read(
+        self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
+    ) -> Measured:
+        raw = self.sensors.read(y, last, ratio, period, number)
+        share = -jnp.expm1(-2.0 * jnp.pi * period * self.cutoff)
+        omega_L = last.omega_L + share * (raw.omega_L - last.omega_L)
+        omega_M = last.omega_M + share * (raw.omega_M - last.omega_M)
+        return raw._replace(omega_L=omega_L, omega_M=omega_M, omega_B=omega_M / ratio - omega_L)
 
 
 class Noisy(Sensors):
@@ -146,6 +178,10 @@ class Sampled(eqx.Module):
     Switching conditions are evaluated at the samples. period and delay are static and must be
     multiples of the integration step. Source: 2018 paper, section IV.
 
+    precision: 32 or 64 bits of readings, law and memory, whatever the drive is integrated in: a
+    target with float32 runs what `gearlash export c --float` writes. A policy sets its law anew
+    at every one of its own periods, which are multiples of this one.
+
     Raises: InputError for a period <= 0 or a delay < 0.
     """
 
@@ -155,6 +191,7 @@ class Sampled(eqx.Module):
     period: float = eqx.field(static=True)
     delay: float = eqx.field(static=True, default=0.0)
     sensors: Sensors = eqx.field(default_factory=TrueSpeeds)
+    precision: Literal[32, 64] = eqx.field(static=True, default=64)
 
     def __check_init__(self) -> None:
         if not self.period > 0.0:
@@ -164,6 +201,8 @@ class Sampled(eqx.Module):
         if self.delay > _LONGEST * self.period:
             rule = f"must be at most {_LONGEST} periods of {self.period:g} s"
             raise InputError("Sampled.delay", rule, self.delay, "give seconds or text with a unit")
+        if self.precision not in (32, 64):
+            raise InputError("Sampled.precision", "must be 32 or 64", self.precision, "e.g. 32")
         self.law.check_period(self.period)
 
     @property
@@ -202,40 +241,60 @@ class Sampled(eqx.Module):
         """At rest, before the first sample; readings exact, command zero."""
         period, delay = self.ticks(dt)
         zero = tuple(jnp.zeros_like(y.theta_L) for y in ys)
-        return Held(zero, (zero,) * (delay // period + 1), self.law.rest(ys), ys)
+        law = self.law.rest(ys)
+        if isinstance(self.law, Supervised):
+            law = law, self.law.start(ys, self.period)
+        return Held(zero, (zero,) * (delay // period + 1), law, ys)
 
     def on_tick(
         self, tick: Scalar, ys: tuple[Measured, ...], held: Held, ratios: tuple, dt: float
     ) -> Held:
         """What changes at an integration tick: a new sample, a command that becomes due."""
         period, delay = self.ticks(dt)
-        sampled = self._sample(ys, held, ratios, tick // period)
-        held = _choose(tick % period == 0, sampled, held)
+        held = _choose(tick % period == 0, self.sample(ys, held, ratios, tick // period), held)
         due = tick % period == delay % period
         return held._replace(command=_choose(due, held.waiting[-1], held.command))
 
-    def _sample(self, ys: tuple[Measured, ...], held: Held, ratios: tuple, sample: Scalar) -> Held:
-        first = (sample + 1) * self.axes
+    def sample(self, ys: tuple[Measured, ...], held: Held, ratios: tuple, number: Scalar) -> Held:
+        """The law's turn at its sample of that number, from 0: the newest command waits."""
+        if self.precision == 64:
+            return self._sample(ys, held, ratios, number)
+        # Kept in the drive's own precision, which holds every float32: carries stay of one dtype.
+        coarse = cast((self, ys, held, ratios), jnp.float32)
+        done = coarse[0]._sample(*coarse[1:], number)
+        return cast(done, ys[0].theta_L.dtype)
+
+    def _sample(self, ys: tuple[Measured, ...], held: Held, ratios: tuple, number: Scalar) -> Held:
+        first = (number + 1) * self.axes
         seen = tuple(
             self.sensors.read(y, last, ratio, self.period, first + axis)
             for axis, (y, last, ratio) in enumerate(zip(ys, held.seen, ratios, strict=True))
         )
-        state = self._tustin(held.law, held.seen, seen)
-        state = self.law.on_sample(state, seen, self.period)
-        command = self.law.command(state, seen, self._switches(state, seen))
-        return Held(held.command, (command, *held.waiting[:-1]), state, seen)
+        if not isinstance(self.law, Supervised):
+            state = self._advanced(self.law, held.law, held.seen, seen)
+            command = self.law.command(state, seen, _switches(self.law, state, seen))
+            return Held(held.command, (command, *held.waiting[:-1]), state, seen)
+        state, memory = held.law
+        state = self._advanced(self.law.under(memory), state, held.seen, seen)
+        told = state, ((),) * self.axes  # nobody at the target knows a motor's current
+        memory = self.law.on_tick(number, ys, memory, ratios, self.period, told)
+        law = self.law.under(memory)
+        command = law.command(state, seen, _switches(law, state, seen))
+        return Held(held.command, (command, *held.waiting[:-1]), (state, memory), seen)
 
-    def _switches(self, state: Any, ys: tuple[Measured, ...]) -> tuple[tuple[Switch, ...], ...]:
-        return switch_all(Plain(), self.law.surfaces, self.law.guards(state, ys), None)
+    def _advanced(self, law: JointLaw, state: Any, before: Any, now: Any) -> Any:
+        return law.on_sample(self._tustin(law, state, before, now), now, self.period)
 
-    def _tustin(self, state: Any, before: tuple[Measured, ...], now: tuple[Measured, ...]) -> Any:
+    def _tustin(
+        self, law: JointLaw, state: Any, before: tuple[Measured, ...], now: tuple[Measured, ...]
+    ) -> Any:
         leaves, structure = jax.tree.flatten(state)
         if not leaves:
             return state
 
         def rates(values: list[Scalar], ys: tuple[Measured, ...]) -> list[Scalar]:
             tree = jax.tree.unflatten(structure, values)
-            return jax.tree.leaves(self.law.field(tree, ys, self._switches(tree, ys)))
+            return jax.tree.leaves(law.field(tree, ys, _switches(law, tree, ys)))
 
         half = 0.5 * self.period
         old, new = rates(leaves, before), rates(leaves, now)
@@ -248,6 +307,10 @@ class Sampled(eqx.Module):
         ]
         change = solve_unrolled(matrix, [half * (a + b) for a, b in zip(old, new, strict=True)])
         return jax.tree.unflatten(structure, [x + d for x, d in zip(leaves, change, strict=True)])
+
+
+def _switches(law: JointLaw, state: Any, ys: tuple[Measured, ...]) -> Any:
+    return switch_all(Plain(), law.surfaces, law.guards(state, ys), None)
 
 
 def _choose(condition: Scalar, yes: Any, no: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Parameters of a component tree by name: find, read, replace."""
+"""Parameters of a component tree by name: find, read, replace; their precision."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from jaxsim.errors import InputError
 from jaxsim.parameters import all_parameters
@@ -62,6 +64,14 @@ def replace(tree: Any, values: Mapping[str, Any]) -> Any:
     for name, value in values.items():
         tree = _replace_one(tree, _steps(tree, resolve(tree, name)), value)
     return tree
+
+
+def cast(tree: Any, dtype: Any) -> Any:
+    """All inexact leaves of a tree in one dtype."""
+    return jax.tree.map(
+        lambda v: jnp.asarray(v, dtype) if jnp.issubdtype(jnp.asarray(v).dtype, jnp.inexact) else v,
+        tree,
+    )
 
 
 def _steps(tree: Any, path: str) -> list[str | int]:
