@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import oracle
 import pytest
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 from tuning_cases import searched, study
 from typer.testing import CliRunner
 
@@ -19,6 +19,7 @@ from jaxsim import tree
 from jaxsim._simulate import simulate
 from jaxsim.command import app
 from jaxsim.errors import InputError
+from jaxsim.objective import Limit
 from jaxsim.provenance import write_toml
 from jaxsim.study import load
 from tuning import figures, report, space
@@ -95,8 +96,35 @@ def test_conflicting_limits_are_named_with_the_excess(tmp_path: Path) -> None:
     words = sentences(session, result)
     assert not result.feasible
     assert words[0].startswith("NO FEASIBLE LAW")
-    assert "largest_torque_Nm and iae_rad_s conflict" in words[0]
-    assert any("does NOT hold" in line and "% too much" in line for line in words)
+    assert "onverged" not in words[0]
+    for v in (v for v in result.verdicts if not v.holds):
+        assert f"{v.limit.words} by {100.0 * v.share:.2g} %" in words[0]
+    assert "In conflict: largest_torque_Nm <= 0.8 and iae_rad_s <= 0.009." in words
+    # Either limit alone is the end of a front: what SciPy makes of it under the other.
+    for found, other in zip(result.attained, reversed(result.attained), strict=True):
+        wanted = least_by_scipy(session, found.limit.metric, other.limit)
+        assert found.others
+        assert found.value == pytest.approx(wanted, rel=3e-4)
+        assert any(line.startswith(f"{found.limit.words}: ") for line in words)
+
+
+def least_by_scipy(session: Session, metric: str, other: Limit) -> float:
+    """The least worst case of a metric under a limit on another one, by values alone."""
+    problem, drives = session.problem, session.drives
+
+    def worst(z: np.ndarray, name: str) -> float:
+        values = problem.evaluate(np.clip(z, 0.0, 1.0)[None], drives).values
+        return float(values[..., problem.metrics.index(name)].max())
+
+    def kept(z: np.ndarray) -> float:
+        return 1.0 - worst(z, other.metric) / other.bound
+
+    start = session.best().best
+    found = minimize(
+        lambda z: worst(z, metric), start, method="COBYLA", options={"rhobeg": 0.05, "tol": 1e-5},
+        constraints=[{"type": "ineq", "fun": f} for f in (kept, lambda z: z, lambda z: 1.0 - z)],
+    )  # fmt: skip
+    return float(found.fun)
 
 
 def test_an_impossible_drive_is_named_and_the_rest_is_tuned(tmp_path: Path) -> None:
@@ -111,6 +139,10 @@ def test_an_impossible_drive_is_named_and_the_rest_is_tuned(tmp_path: Path) -> N
     assert all("J_L: must be > 0" in why for why in session.excluded.values())
     assert len(session.drives) == 3 - len(bad)
     assert session.best().rank[0] == 0.0  # the limits hold on those that run
+    words = sentences(session, conclude(session))
+    assert f"{3 - len(bad)} of 3 drives, the others being impossible" in words[0]
+    told = f"Left out, {len(bad)} of 3 drives (load.J_L: must be > 0): {', '.join(map(str, bad))};"
+    assert any(line.startswith(told) for line in words)
 
 
 def test_a_working_set_ends_with_limits_that_hold_on_all_drives(tmp_path: Path) -> None:
@@ -141,6 +173,23 @@ def test_a_working_set_ends_with_limits_that_hold_on_all_drives(tmp_path: Path) 
     assert value == pytest.approx(max(torques), rel=1e-6)
     assert where == fresh.label(1 + int(np.argmax(torques)))
     assert any("of 50 fresh drives" in line for line in sentences(session, result))
+
+
+def test_a_search_that_ran_out_of_iterations_claims_no_conflict(tmp_path: Path) -> None:
+    what = study(limits={"largest_torque_Nm": 0.8, "iae_rad_s": 0.009}, iterations=2)
+    session = searched(what, tmp_path)
+    headline = sentences(session, conclude(session))[0]
+    assert headline.startswith("NO FEASIBLE LAW was found yet: the best one breaks")
+    assert "spent, 2 iterations; --resume goes on" in headline
+
+
+def test_drives_that_break_a_limit_join_a_search_that_is_spent(tmp_path: Path) -> None:
+    spread = {"half_gap": "30 %", "J_L": "30 %"}
+    drives = {"count": 64, "screen": 2, "working": 3, "spread": spread}
+    what = study(limits={"largest_torque_Nm": 1.6}, drives=drives, iterations=3)
+    session = searched(what, tmp_path)
+    assert len(session.drives) > 3
+    assert conclude(session).feasible
 
 
 def test_interrupt_keeps_a_loadable_law_and_resume_ends_where_it_would_have(

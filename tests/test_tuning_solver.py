@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.stats import mstats
 
-from jaxsim.objective import Goal, Limit, Objective, reduce
+from jaxsim.objective import Goal, Limit, Objective
 from tuning import solver
 from tuning.local import RESERVE, Local, Rows, localise
 from tuning.solver import CONVERGED, RUNNING, State
@@ -115,13 +116,55 @@ def test_rows_reduce_to_the_numbers_of_the_objective() -> None:
     for over in ("mean", "worst", 0.8):
         objective = Objective((Goal("a", 2.0, over),), (Limit("b", 0.5, over),))
         local = localise(objective, ("a", "b"), values, slopes)
-        assert local.cost == pytest.approx(2.0 * float(reduce(values[:, 0, 0], over)), rel=1e-12)
-        excess = (float(reduce(values[:, 0, 1], over)) - 0.5) / 0.5 + RESERVE
+        (goal,), (limit,) = objective
+        assert local.cost == pytest.approx(2.0 * goal.reduce(values[:, 0, 0]), rel=1e-12)
+        excess = (limit.reduce(values[:, 0, 1]) - 0.5) / 0.5 + RESERVE
         assert local.excess[0] == pytest.approx(excess, rel=1e-12)
         moved = localise(objective, ("a", "b"), values + 1e-7 * slopes @ np.ones(3), slopes)
         row = int(np.argmax(local.goals[0].values))
         fall = 2.0 * float(local.goals[0].slopes[row].sum())
         assert (moved.cost - local.cost) / 1e-7 == pytest.approx(fall, rel=1e-5)
+
+
+@pytest.mark.parametrize("q", [0.5, 0.9])
+def test_a_quantile_to_be_minimised_is_that_of_harrell_and_davis(q: float) -> None:
+    values = np.random.default_rng(2).gamma(2.0, size=40)
+    wanted = float(mstats.hdquantiles(values, [q])[0])
+    assert Goal("a", 1.0, q).reduce(values) == pytest.approx(wanted, rel=1e-9)
+    # As many values as one likes: the quantile itself; gamma(2) has 1 - (1 + x) exp(-x) below x.
+    many = np.random.default_rng(3).gamma(2.0, size=200_000)
+    x = Goal("a", 1.0, q).reduce(many)
+    assert 1.0 - (1.0 + x) * np.exp(-x) == pytest.approx(q, abs=3e-3)
+
+
+def test_a_quantile_to_be_minimised_has_no_jump_where_runs_change_places() -> None:
+    """|z - a| over 21 drives: the slope of the counted quantile jumps by 2 at every change."""
+    a = np.linspace(0.0, 1.0, 21)
+    goal = Objective((Goal("m", 1.0, 0.9),), ())
+    counted = Objective((), (Limit("m", 1.0, 0.9),))
+
+    def slopes(objective: Objective) -> np.ndarray:
+        found = []
+        for z in np.linspace(0.3, 0.7, 101):
+            values, rates = np.abs(z - a), np.sign(z - a)
+            local = localise(objective, ("m",), values[:, None, None], rates[:, None, None, None])
+            found.append(float((*local.goals, *local.limits)[0].slopes[0, 0]))
+        return np.array(found)
+
+    jump = np.abs(np.diff(slopes(counted))).max()
+    assert jump == pytest.approx(2.0)
+    assert np.abs(np.diff(slopes(goal))).max() < 0.25 * jump
+
+
+def test_a_quantile_of_a_limit_is_counted() -> None:
+    values = np.array([5.0, 1.0, 4.0, 2.0, 3.0])
+    assert Limit("a", 4.0, 0.75).reduce(values) == 4.0
+    assert Limit("a", 2.0, 0.75, least=True).reduce(values) == 2.0
+
+
+def test_what_is_never_reached_by_a_few_leaves_the_median_alone() -> None:
+    values = np.concatenate([np.linspace(1.0, 2.0, 99), [np.inf]])
+    assert 1.4 < Goal("a", 1.0, 0.5).reduce(values) < 1.6
 
 
 def test_a_mean_is_taken_over_the_sample_and_a_worst_case_over_all() -> None:

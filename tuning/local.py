@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxsim.objective import Limit, Objective, Over
+from jaxsim.objective import Limit, Objective, Over, ordered_weights
 
 # The search keeps this share of each bound in reserve: a law that it calls feasible stays so at
 # smaller steps (the located engine moves peaks by 3e-6 from dt = 2e-4 to the limit).
@@ -64,7 +64,7 @@ def localise(
     quantile; the others are there because they are bad.
     """
 
-    def rows(metric: str, over: Over, sign: float = 1.0) -> Rows:
+    def rows(metric: str, over: Over, sign: float = 1.0, smooth: bool = True) -> Rows:
         at = names.index(metric)
         if sample is None or over == "worst":
             chosen = np.arange(len(values))
@@ -72,11 +72,12 @@ def localise(
             chosen = np.flatnonzero(sample)
         source = np.repeat(chosen, values.shape[1])
         rates = slopes[chosen][..., at, :].reshape(len(source), -1)
-        return _over(sign * values[chosen][..., at].reshape(-1), sign * rates, source, over)
+        own = sign * values[chosen][..., at].reshape(-1)
+        return _over(own, sign * rates, source, over, smooth)
 
     return Local(
         tuple(rows(g.metric, g.over)._replace(factor=g.weight) for g in objective.goals),
-        tuple(_relative(rows(x.metric, x.over, x.sign), x) for x in objective.limits),
+        tuple(_relative(rows(x.metric, x.over, x.sign, smooth=False), x) for x in objective.limits),
     )
 
 
@@ -91,20 +92,16 @@ def _relative(rows: Rows, limit: Limit) -> Rows:
     return Rows(excess / by + RESERVE, rows.slopes / by, by, rows.source)
 
 
-def _over(values: np.ndarray, slopes: np.ndarray, source: np.ndarray, over: Over) -> Rows:
+def _over(
+    values: np.ndarray, slopes: np.ndarray, source: np.ndarray, over: Over, smooth: bool
+) -> Rows:
     """All rows for the worst case, one for a mean or a quantile.
 
-    A quantile has the slopes of the two order statistics that it lies between.
+    The slopes are those of the order in which the values stand.
     """
     if over == "worst":
         return Rows(values, slopes, 1.0, source)
-    if over == "mean":
-        return Rows(values.mean(keepdims=True), slopes.mean(axis=0, keepdims=True), 1.0, source[:1])
-    order = np.argsort(values)
-    place = float(over) * (len(values) - 1)
-    low = int(place)
-    high, share = min(low + 1, len(values) - 1), place - low
-    weights = np.zeros(len(values))
-    weights[order[low]] += 1.0 - share
-    weights[order[high]] += share
-    return Rows((weights @ values)[None], (weights @ slopes)[None], 1.0, source[order[[low]]])
+    weights = np.empty(len(values))
+    weights[np.argsort(values)] = ordered_weights(over, len(values), smooth=smooth)
+    main = source[[int(np.argmax(weights))]]
+    return Rows((weights @ values)[None], (weights @ slopes)[None], 1.0, main)

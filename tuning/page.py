@@ -88,7 +88,7 @@ def _goals(session: Session, result: Result) -> Table:
     count, scenarios = result.after.status.shape
     what = f"On {count} drives in {scenarios} scenarios" if scenarios > 1 else f"On {count} drives"
     return Table(
-        f"{what}, by fresh runs on the exact model; worst: the largest in size.",
+        f"{what}, by fresh runs on the exact model; where the worst is, with the drive.",
         ["metric", "unit", "", *_WHERE],
         rows,
     )

@@ -350,6 +350,6 @@ def conclude(
 
 
 def _point(tracer: Tracer, gains: np.ndarray, scores: Scores) -> Point:
-    first, second = (scores.over(g.metric, g.over) for g in tracer.pair)
+    first, second = (scores.aimed(g) for g in tracer.pair)
     holds = all(x.excess(scores.limited(x)) <= 0.0 for x in tracer.limits)
     return Point(gains, (first, second), scores, bool(holds and not scores.status.any()))

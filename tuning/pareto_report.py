@@ -88,7 +88,7 @@ def _rows(spec: Spec, front: Front) -> tuple[list[str], list[list[Any]]]:
     head = ["law", *(f"{g.metric}_{g.over}" for g in front.pair), *(f.name for f in spec.free)]
 
     def worst(p: Point) -> list[float]:
-        return [p.scores.over(m, "worst") for m in limits]
+        return [p.scores.worst(m, spec.objective)[0] for m in limits]
 
     named = {str(k): p for k, p in enumerate(front.points)} | front.marks
     rows = [[name, *p.goals, *p.gains.tolist(), *worst(p), p.feasible] for name, p in named.items()]

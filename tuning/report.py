@@ -24,7 +24,7 @@ from tuning.words import sentences
 class Line(NamedTuple):
     """One metric under one law: as the study is, mean over drives and scenarios, worst case.
 
-    nominal: on the study's drive in its first scenario. worst: the value of largest size; drive:
+    nominal: on the study's drive in its first scenario. worst: as `Scores.worst` has it; drive:
     that has it, with its scenario.
     """
 
@@ -60,7 +60,7 @@ def lines(session: Session, result: Result) -> dict[str, tuple[Line, Line]]:
 
 
 def _line(session: Session, result: Result, scores: Scores, name: str) -> Line:
-    worst, row, scenario = scores.worst(name)
+    worst, row, scenario = scores.worst(name, session.spec.objective)
     values = scores.values[name]
     mean = float(np.mean(values)) if np.isfinite(values).all() else np.nan
     nominal = float(np.max(values[0, 0])) if result.drives[0] == 0 else np.nan
@@ -111,6 +111,7 @@ def _content(
             | {"worst_drive": session.problem.label(v.drive, v.scenario), "price": v.price}
             for v in result.verdicts
         ],
+        "attained": [a._asdict() | a.limit._asdict() for a in result.attained],
         "fresh_drives": None if result.check is None else result.check._asdict(),
         "metrics": {
             name: {"before": before._asdict(), "after": after._asdict()}

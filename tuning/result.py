@@ -12,11 +12,12 @@ from jaxsim.objective import Limit
 from tuning import certificate as certificates
 from tuning import space, working
 from tuning.certificate import Case, Certificate
+from tuning.conflict import Attained, attained
 from tuning.local import localise, size
 from tuning.problem import Problem
 from tuning.scoring import Scores, everything, fresh, score
 from tuning.session import FULL, Session
-from tuning.solver import State
+from tuning.solver import SPENT, State
 from tuning.subproblem import best_step
 
 # A limit whose multiplier is below this share of the cost does not hold the law back.
@@ -60,7 +61,8 @@ class Result(NamedTuple):
     decides; certificate: on them. before, after: scores of the study's law
     and of the tuned one at the study's dt; finer: of the tuned one at dt/2, metrics of the
     objective only. searched: its cost as the search had it (on fewer drives if it was interrupted
-    early). check: of the tuned law on fresh drives, where the study asks for it.
+    early). check: of the tuned law on fresh drives, where the study asks for it. attained: of a
+    search that ended without a feasible law, how far each limit can be met.
     """
 
     law: Any
@@ -77,16 +79,12 @@ class Result(NamedTuple):
     status: str
     reason: str
     check: working.Check | None
+    attained: tuple[Attained, ...]
 
     @property
     def feasible(self) -> bool:
         complete = not (self.after.status.any() or self.finer.status.any())
         return complete and all(v.holds for v in self.verdicts)
-
-    @property
-    def conflict(self) -> list[Verdict]:
-        """The limits that stand against each other: exceeded, or pressing."""
-        return [v for v in self.verdicts if not v.holds or v.price > 0.0]
 
     @property
     def worst(self) -> Case:
@@ -130,7 +128,17 @@ def conclude(session: Session) -> Result:
         status="interrupted" if session.interrupted else state.status,
         reason="" if session.interrupted else state.reason,
         check=None if session.interrupted else working.check(problem, gains),
+        attained=_attained(session, state, verdicts),
     )
+
+
+def _attained(
+    session: Session, state: State, verdicts: tuple[Verdict, ...]
+) -> tuple[Attained, ...]:
+    unfinished = session.interrupted or state.status == SPENT
+    if unfinished or all(v.holds for v in verdicts):
+        return ()
+    return attained(session, state)
 
 
 def _best(session: Session, drives: np.ndarray) -> State:

@@ -10,7 +10,7 @@ from jaxsim import batch
 from jaxsim._simulate import simulate
 from jaxsim.catalog import METRICS
 from jaxsim.hybrid import Exact
-from jaxsim.objective import Limit, Objective, Over, reduce
+from jaxsim.objective import Goal, Limit, Objective
 from tuning import space
 from tuning.problem import Problem
 
@@ -21,24 +21,29 @@ class Scores(NamedTuple):
     values: dict[str, np.ndarray]
     status: np.ndarray
 
-    def over(self, metric: str, over: Over) -> float:
-        return float(reduce(self.values[metric].reshape(-1), over))
+    def aimed(self, goal: Goal) -> float:
+        """What a goal is about, without its weight."""
+        return float(goal.reduce(self.values[goal.metric].reshape(-1)))
 
     def limited(self, limit: Limit) -> float:
         """What a limit is about: the largest value, or the smallest where the bound is a least."""
-        values = limit.sign * self.values[limit.metric].reshape(-1)
-        return limit.sign * float(reduce(values, limit.over))
+        return float(limit.reduce(self.values[limit.metric].reshape(-1)))
 
-    def worst(self, metric: str) -> tuple[float, int, int]:
-        """The value of largest size, with its sign, and its drive (by row) and scenario."""
-        values = self.values[metric]
-        sizes = np.where(np.isnan(values), -1.0, np.abs(values))
-        row, scenario, axis = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    def worst(self, metric: str, objective: Objective) -> tuple[float, int, int]:
+        """The worst value, its drive (by row) and scenario.
+
+        The largest, or the smallest of what has a least bound; of what is no part of the objective
+        the largest in size.
+        """
+        values, sign = self.values[metric], objective.sign(metric)
+        badness = np.abs(values) if sign is None else sign * values
+        badness = np.where(np.isnan(values), -np.inf, badness)
+        row, scenario, axis = np.unravel_index(int(np.argmax(badness)), badness.shape)
         return float(values[row, scenario, axis]), int(row), int(scenario)
 
     def cost(self, objective: Objective) -> float:
         """The weighted sum of the goals."""
-        return sum(g.weight * self.over(g.metric, g.over) for g in objective.goals)
+        return sum(g.weight * self.aimed(g) for g in objective.goals)
 
     def part(self, rows: Any) -> Scores:
         """Some of the drives."""

@@ -28,7 +28,8 @@ def _gains_table(session: Session, result: Result) -> Any:
     rows = zip(session.spec.free, result.initial, result.gains, strict=True)
     for f, before, after in rows:
         at = " (at a bound)" if at_bound(f, after) else ""
-        bounds = f"{f.lower:g} to {f.upper:g} {f.unit}{at}"
+        unit = "" if f.unit == "1" else f" {f.unit}"
+        bounds = f"{f.lower:g} to {f.upper:g}{unit}{at}"
         shown.add_row(f.name, f"{before:.6g}", f"{after:.6g}", bounds)
     return shown
 
@@ -39,7 +40,8 @@ def _metrics_table(session: Session, result: Result) -> Any:
 
     count = len(session.problem.scenarios)
     where = f" in {count} scenarios" if count > 1 else ""
-    title = f"On {len(result.drives)} drives{where}; worst is the largest in size"
+    drives = f"{len(result.drives)} drives" if len(result.drives) > 1 else "the drive"
+    title = f"On {drives}{where}; worst: largest in size where the objective says no direction"
     shown = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     shown.add_column("metric", no_wrap=True)
     for when in ("before", "after"):

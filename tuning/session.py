@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxsim.errors import InputError
+from jaxsim.objective import Objective
 from jaxsim.study import Study
 from tuning import checkpoint, solver, space, working
 from tuning.local import Local, localise
@@ -80,6 +81,7 @@ class Session:
         self.history: list[dict[str, Any]] = []
         self.seconds = 0.0
         self.done = self.interrupted = False
+        self.allowed = spec.iterations  # on all drives, since these were looked at last
 
     def search(self, tell: Callable[[Progress], None]) -> None:
         """Search to the end, or until Ctrl-C; `tell` is called after every iteration.
@@ -114,7 +116,7 @@ class Session:
 
     def _most(self) -> int:
         """Iterations of this stage; the screen, which only ranks, has half of them."""
-        return self.spec.iterations if self.stage == FULL else -(-self.spec.iterations // 2)
+        return self.allowed if self.stage == FULL else -(-self.spec.iterations // 2)
 
     def _turn(self) -> None:
         """The next piece of work: opening a stage, or an iteration of it."""
@@ -126,7 +128,7 @@ class Session:
         elif any(running):
             full = self.stage == FULL
             tolerance = self.spec.tolerance if full else max(_COARSE, self.spec.tolerance)
-            self.states = solver.advance(self.states, self._look, tolerance, self._most())
+            self.states = solver.advance(self.states, self.look, tolerance, self._most())
             self._record(running)
         elif self.stage == SCREEN:
             self._open_full()
@@ -188,17 +190,19 @@ class Session:
         best = self.best()
         known = np.array([i for i in range(self.spec.count) if i not in self.excluded])
         rest = np.setdiff1d(known, self.drives)
-        if not len(rest) or best.status in (FAILED, SPENT):
+        if not len(rest) or best.status == FAILED:
             return False
         worse = working.worse(self.problem, best, rest)
         if not len(worse):
             return False
         self.drives = np.concatenate([self.drives, worse])
+        self.allowed = best.iterations + self.spec.iterations
         self._open([dataclasses.replace(_second(best), iterations=best.iterations)])
         self._record([True])
         return True
 
-    def _look(self, points: np.ndarray) -> list[Local | str]:
+    def look(self, points: np.ndarray) -> list[Local | str]:
+        """The objective at each point (n, P) of the unit cube, on the drives of the stage."""
         return self._locals(self.problem.evaluate(points, self.drives))
 
     def _locals(self, outcome: Outcome) -> list[Local | str]:
@@ -240,9 +244,15 @@ class Session:
                     "cost": s.local.cost * self.unit,
                     "violation": s.local.violation,
                     "radius": s.radius,
+                    **dict(zip(excess_columns(self.spec.objective), s.local.excess, strict=True)),
                     **dict(zip((f.name for f in self.spec.free), gains, strict=True)),
                 }
             )
+
+
+def excess_columns(objective: Objective) -> list[str]:
+    """Names of the columns of a history: by what share each limit, less its reserve, is broken."""
+    return [f"excess of {limit.words}" for limit in objective.limits]
 
 
 def _second(s: State) -> State:
@@ -269,8 +279,8 @@ def resume(session: Session) -> None:
     kept = [s for s in states if s.best is not None]
     if not kept:
         return
-    here = session._look(np.array([s.z for s in kept]))
-    best = session._look(np.array([s.best for s in kept]))
+    here = session.look(np.array([s.z for s in kept]))
+    best = session.look(np.array([s.best for s in kept]))
     revived = []
     for s, now, top in zip(kept, here, best, strict=True):
         if isinstance(now, str) or isinstance(top, str):
@@ -280,3 +290,4 @@ def resume(session: Session) -> None:
             again = dataclasses.replace(again, status=RUNNING, iterations=0, reason="")
         revived.append(again)
     session.states = revived
+    session.allowed += max((s.iterations for s in revived), default=0)

@@ -41,8 +41,9 @@ class Spec(NamedTuple):
 
     drives: their values (count, spreads), the study's own first. starts: of the search, the
     study's own law among them. screen: drives on which all starts are tried before the best
-    `finalists` see all. iterations: at most so many on all drives, half as many before. tolerance:
-    a step shorter than this, on the unit cube of the bounds, ends a start. seed: of drives and
+    `finalists` see all. iterations: at most so many on all drives, and again whenever others join
+    the working set; half as many before. tolerance: a step shorter than this, on the unit cube of
+    the bounds, ends a start. seed: of drives and
     starts. working: the drives that the last stage begins with; those that break a limit join
     them. check: drives drawn afresh on which the tuned law is tried at the end.
     """

@@ -10,16 +10,19 @@ from jaxsim.hybrid import Exact
 from jaxsim.objective import Goal
 from jaxsim.status import Status
 from tuning import working
+from tuning.conflict import Attained
 from tuning.local import size
 from tuning.result import Result, Verdict
 from tuning.session import FULL, Session
-from tuning.solver import CONVERGED
+from tuning.solver import CONVERGED, SPENT
 from tuning.spec import Free
 
 # Fresh runs of the same model may differ from those of the search by rounding only.
 _SAME = 1e-6
 # The price of a limit is told for about this share of its bound.
 _TOLD = 0.05
+# So many drives of a kind are named by their numbers.
+_NAMED = 20
 _UNITS = {
     "per_s": "1/s",
     "rad_s2": "rad s²",
@@ -42,12 +45,12 @@ def unit_of(metric: str) -> str:
     return next((unit for end, unit in _UNITS.items() if metric.endswith(f"_{end}")), "")
 
 
-def quantity(value: float, metric: str) -> str:
-    """A value with its unit, three digits; short times in ms."""
+def quantity(value: float, metric: str, digits: int = 3) -> str:
+    """A value with its unit; short times in ms."""
     unit = unit_of(metric)
     if unit == "s" and 0.0 < abs(value) < 0.1:
         value, unit = 1e3 * value, "ms"
-    return f"{value:.3g} {unit}".rstrip()
+    return f"{value:.{digits}g} {unit}".rstrip()
 
 
 def at_bound(f: Free, value: float) -> bool:
@@ -58,22 +61,40 @@ def at_bound(f: Free, value: float) -> bool:
 def sentences(session: Session, result: Result) -> list[str]:
     """The outcome: the verdict first, then goals, limits, evidence, and what was left out."""
     label = session.problem.label
-    lines = [headline(result)]
+    lines = [headline(session, result), *_conflicts(result)]
     lines += [_goal(session, result, g) for g in session.spec.objective.goals]
     lines += [_limit(session, result, v) for v in result.verdicts]
     lines += [*working.sentences(result.check), _cost(session, result)]
-    lines += [_certified(session, result), *_model(session, result)]
-    lines += [f"Left out, {label(i)}: {why}." for i, why in session.excluded.items()]
+    lines += [_certified(session, result), *_bounds(session, result), *_model(session, result)]
+    lines += _left_out(session)
     for k, c in np.argwhere(result.after.status):
         words = Status(int(result.after.status[k, c])).words
         lines.append(f"The tuned law fails on {label(int(result.drives[k]), c)}: {words}.")
     return lines
 
 
-def headline(result: Result) -> str:
+def _left_out(session: Session) -> list[str]:
+    """Drives that run under no law, by what is wrong with them; result.json has their values."""
+    by_rule: dict[str, list[int]] = {}
+    for index, why in session.excluded.items():
+        by_rule.setdefault(why.partition("; got")[0], []).append(index)
+    lines = []
+    for rule, own in by_rule.items():
+        numbers = ", ".join(map(str, own[:_NAMED])) + (", ..." if len(own) > _NAMED else "")
+        first = session.excluded[own[0]]
+        lines.append(
+            f"Left out, {len(own)} of {session.spec.count} drives ({rule}): {numbers}; "
+            f"{session.problem.label(own[0])}: {first}."
+        )
+    return lines
+
+
+def headline(session: Session, result: Result) -> str:
     """The verdict."""
     count, scenarios = result.after.status.shape
     drives = f"all {count} drives" if count > 1 else "the drive"
+    if session.excluded:
+        drives = f"{count} of {session.spec.count} drives, the others being impossible,"
     drives += f" in {scenarios} scenarios" if scenarios > 1 else ""
     ended = "" if result.status == CONVERGED else f" The search ended early: {_ending(result)}."
     if result.feasible:
@@ -84,21 +105,44 @@ def headline(result: Result) -> str:
     if len(broken) and all(v.holds for v in result.verdicts):
         return f"NO FEASIBLE LAW was found: runs fail on {len(broken)} drives.{ended}"
     if result.status == "interrupted":
-        names = " and ".join(v.limit.metric for v in result.verdicts if not v.holds)
+        names = " and ".join(v.limit.metric for v in broken_limits(result))
         return f"No feasible law was found yet: {names} beyond the limit.{ended}"
-    names = " and ".join(v.limit.metric for v in result.conflict)
-    rule = "conflict" if len(result.conflict) > 1 else "cannot be kept"
-    return f"NO FEASIBLE LAW was found: the limits on {names} {rule}; least violation met.{ended}"
+    by = " and ".join(f"{v.limit.words} by {100.0 * v.share:.2g} %" for v in broken_limits(result))
+    yet = " yet" if result.status == SPENT else ""
+    return f"NO FEASIBLE LAW was found{yet}: the best one breaks {by}.{ended}"
+
+
+def broken_limits(result: Result) -> list[Verdict]:
+    return [v for v in result.verdicts if not v.holds]
+
+
+def _conflicts(result: Result) -> list[str]:
+    """Which limits are in each other's way, and how far each can be met."""
+    told = [_attained(x, len(result.attained) > 1) for x in result.attained]
+    rivals = [x.limit.words for x in result.attained if x.others and x.share > 0.0]
+    return [f"In conflict: {' and '.join(rivals)}.", *told] if len(rivals) > 1 else told
+
+
+def _attained(x: Attained, several: bool) -> str:
+    while_ = " while all other limits hold" if several else ""
+    if not x.others:
+        return f"Even without {x.limit.words} the other limits do not all hold."
+    if x.share <= 0.0:
+        return f"{x.limit.words} by itself can be kept{while_} on the drives looked at."
+    too = "little" if x.limit.least else "much"
+    least = quantity(x.value, x.limit.metric, 4)
+    return f"{x.limit.words}: {least} is the best met{while_}, {100.0 * x.share:.2g} % too {too}."
 
 
 def _ending(result: Result) -> str:
-    return f"{result.status}, {result.reason}" if result.reason else result.status
+    ending = f"{result.status}, {result.reason}" if result.reason else result.status
+    return f"{ending}; --resume goes on" if result.status == SPENT else ending
 
 
 def _goal(session: Session, result: Result, goal: Goal) -> str:
-    before, after = (s.over(goal.metric, goal.over) for s in (result.before, result.after))
+    before, after = (s.aimed(goal) for s in (result.before, result.after))
     change = f" ({100.0 * (after / before - 1.0):+.1f} %)" if 0.0 < before < np.inf else ""
-    value, row, scenario = result.after.worst(goal.metric)
+    value, row, scenario = result.after.worst(goal.metric, session.spec.objective)
     over = goal.over if isinstance(goal.over, str) else f"{100.0 * goal.over:g} % quantile"
     worst = f", worst {value:.4g}" if goal.over != "worst" else ""
     where = session.problem.label(int(result.drives[row]), scenario)
@@ -156,6 +200,13 @@ def _certified(session: Session, result: Result) -> str:
     doubtful = [c for c in result.certificate.components if c.verdict not in ("right", "zero")]
     named = dict.fromkeys(f"{c.metric} in {c.gain} {c.verdict}" for c in doubtful)
     return f"{line} ({', '.join(named)})." if named else f"{line}."
+
+
+def _bounds(session: Session, result: Result) -> list[str]:
+    """Gains that their bounds stop."""
+    pairs = zip(session.spec.free, result.gains, strict=True)
+    names = [f.name for f, value in pairs if at_bound(f, value)]
+    return [f"At a bound of [tune.free]: {', '.join(names)}."] if names else []
 
 
 def _model(session: Session, result: Result) -> list[str]:

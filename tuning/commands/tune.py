@@ -26,7 +26,11 @@ def command(
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
 ) -> None:
-    """Tune gains by gradients over a batch of drives, under hard limits."""
+    """Tune gains by gradients over a batch of drives, under hard limits.
+
+    Exit 0: every limit holds on every drive. 1: no such law was found. 3: every limit holds, but
+    drives that run under no law were left out, and named. 130: interrupted; what there was is kept.
+    """
     import jaxsim
 
     jaxsim.configure()
@@ -74,6 +78,8 @@ def _tune(session: Any, beside: Beside, out: Path, resume: bool) -> None:
         raise typer.Exit(130)
     if not result.feasible:
         raise typer.Exit(1)
+    if session.excluded:
+        raise typer.Exit(3)
 
 
 def _refuse_finished(out: Path) -> None:
