@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from jaxsim import events, hermite, integrate
+from jaxsim import events, integrate
 from jaxsim.events import Exit, Landing, choose
-from jaxsim.hermite import Cubic, any_member
+from jaxsim.hermite import Cubic, Segment, any_member
 from jaxsim.loop import ClosedLoop, Outputs, State, When
 from jaxsim.status import Status
 
@@ -55,7 +55,7 @@ class Piece(NamedTuple):
     """One accepted micro-step of one axis, as the metrics see it.
 
     Signals and their rates at both ends, in the modes of the piece; rates are total time
-    derivatives. `cubic(name)` interpolates a signal.
+    derivatives. `cubic(name)` interpolates a signal; `segment(name)` is for what rarely needs that.
     """
 
     t: Scalar
@@ -66,7 +66,10 @@ class Piece(NamedTuple):
     after_rate: Outputs
 
     def cubic(self, name: str) -> Cubic:
-        return hermite.cubic(
+        return self.segment(name).cubic()
+
+    def segment(self, name: str) -> Segment:
+        return Segment(
             getattr(self.before, name),
             getattr(self.before_rate, name),
             getattr(self.after, name),

@@ -171,7 +171,7 @@ def earliest_exit(
     best, chosen = Exit(jnp.asarray(False), jnp.asarray(-1, jnp.int32), jnp.ones_like(h)), None
     rows = zip(loop.surfaces, modes, *start, *end, strict=True)
     for i, (surface, mode, g0, r0, g1, r1) in enumerate(rows):
-        cubic = hermite.cubic(*jax.lax.stop_gradient((g0, r0, g1, r1, h))).scaled(mode)
+        cubic = hermite.Segment(*jax.lax.stop_gradient((g0, r0, g1, r1, h))).cubic().scaled(mode)
         now = _candidate(surface, cubic, h, _LANDED * loop.dt, ignore == i)
         first = now.leaves if chosen is None else now.leaves & (now.rough < chosen.rough)
         best = best._replace(any=best.any | now.leaves, surface=jnp.where(first, i, best.surface))

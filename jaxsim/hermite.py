@@ -28,12 +28,12 @@ class Cubic(NamedTuple):
 
     def area(self, s: Scalar) -> Scalar:
         """The integral of c from 0 to s."""
-        third, quarter = self.c2 / 3.0, self.c3 / 4.0
+        third, quarter = (1.0 / 3.0) * self.c2, 0.25 * self.c3
         return s * (self.c0 + s * (0.5 * self.c1 + s * (third + s * quarter)))
 
     def moment(self, s: Scalar) -> Scalar:
         """The integral of s c(s) from 0 to s."""
-        rest = self.c1 / 3.0 + s * (self.c2 / 4.0 + s * (self.c3 / 5.0))
+        rest = (1.0 / 3.0) * self.c1 + s * (0.25 * self.c2 + s * (0.2 * self.c3))
         return s * s * (0.5 * self.c0 + s * rest)
 
     def scaled(self, factor: Scalar) -> Cubic:
@@ -43,10 +43,37 @@ class Cubic(NamedTuple):
         return self._replace(c0=self.c0 + offset)
 
 
-def cubic(start: Scalar, start_rate: Scalar, end: Scalar, end_rate: Scalar, h: Scalar) -> Cubic:
-    """The cubic through both ends of a step of length h; rates are per second."""
-    d0, d1, rise = h * start_rate, h * end_rate, end - start
-    return Cubic(start, d0, 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise)
+class Segment(NamedTuple):
+    """A signal over a step of length h: values, and rates per second, at both ends.
+
+    What is looked at rarely takes this form, not the cubic's: a branch that is not taken then
+    costs no arithmetic, and hardly any memory.
+    """
+
+    start: Scalar
+    start_rate: Scalar
+    end: Scalar
+    end_rate: Scalar
+    h: Scalar
+
+    def cubic(self) -> Cubic:
+        """The cubic through both ends."""
+        d0, d1, rise = self.h * self.start_rate, self.h * self.end_rate, self.end - self.start
+        return Cubic(self.start, d0, 3.0 * rise - 2.0 * d0 - d1, d0 + d1 - 2.0 * rise)
+
+    def controls(self) -> tuple[Scalar, Scalar]:
+        """The inner control points: the cubic lies between the least and largest of all four."""
+        third = (1.0 / 3.0) * self.h
+        return self.start + third * self.start_rate, self.end - third * self.end_rate
+
+    def minus(self, other: Segment) -> Segment:
+        return Segment(
+            self.start - other.start,
+            self.start_rate - other.start_rate,
+            self.end - other.end,
+            self.end_rate - other.end_rate,
+            self.h,
+        )
 
 
 def _safe_divide(a: Scalar, b: Scalar) -> Scalar:
@@ -66,19 +93,41 @@ def turning_points(c: Cubic) -> tuple[Scalar, Scalar]:
     return first, second
 
 
-def largest(c: Cubic) -> Scalar:
-    """The maximum of c on [0, 1]; its derivative is that of c at the maximiser (envelope)."""
-    a, b = turning_points(c)
-    ends = jnp.maximum(c.value(0.0), c.value(1.0))
-    return jnp.maximum(ends, jnp.maximum(c.value(a), c.value(b)))
+def widened(low: Scalar, high: Scalar, s: Segment) -> tuple[Scalar, Scalar]:
+    """The range from low to high, extended to all values of a segment.
+
+    Its derivative is that of the segment at the extremes (envelope). Turning points are looked for
+    only where the control points allow one beyond the range.
+    """
+    low = jnp.minimum(low, jnp.minimum(s.start, s.end))
+    high = jnp.maximum(high, jnp.maximum(s.start, s.end))
+    a, b = s.controls()
+    beyond = (jnp.minimum(a, b) < low) | (jnp.maximum(a, b) > high)
+
+    def inside(low: Scalar, high: Scalar, s: Segment) -> tuple[Scalar, Scalar]:
+        c = s.cubic()
+        first, second = (c.value(at) for at in turning_points(c))
+        return (
+            jnp.minimum(low, jnp.minimum(first, second)),
+            jnp.maximum(high, jnp.maximum(first, second)),
+        )
+
+    return jax.lax.cond(any_member(beyond), inside, lambda low, high, s: (low, high), low, high, s)
 
 
-def smallest(c: Cubic) -> Scalar:
-    """The minimum of c on [0, 1]."""
-    # At the turning points of c, not of -c: the compiler then shares them with the maximum.
-    a, b = turning_points(c)
-    ends = jnp.minimum(c.value(0.0), c.value(1.0))
-    return jnp.minimum(ends, jnp.minimum(c.value(a), c.value(b)))
+def raised(record: Scalar, s: Segment, way: Scalar, origin: Scalar) -> Scalar:
+    """The larger of a record and the maximum of way*(c - origin), way +1 or -1; as `widened`."""
+    ends = jnp.maximum(way * (s.start - origin), way * (s.end - origin))
+    record = jnp.maximum(record, ends)
+    a, b = s.controls()
+    beyond = jnp.maximum(way * (a - origin), way * (b - origin)) > record
+
+    def inside(record: Scalar, s: Segment) -> Scalar:
+        c = s.cubic()
+        first, second = (way * (c.value(at) - origin) for at in turning_points(c))
+        return jnp.maximum(record, jnp.maximum(first, second))
+
+    return jax.lax.cond(any_member(beyond), inside, lambda record, s: record, record, s)
 
 
 def leaves_positive(c: Cubic, tolerance: Scalar) -> tuple[Scalar, Scalar]:
@@ -110,15 +159,15 @@ def first_root(c: Cubic, s_negative: Scalar, tolerance: Scalar, wanted: Scalar) 
     zero = jnp.zeros_like(c.c0)
     f = Cubic(*(jnp.where(on_surface, d, k) for d, k in zip((*c[1:], zero), c, strict=True)))
     low, high = jnp.zeros_like(s_negative), s_negative
+    s = jax.lax.cond(any_member(wanted), _polished, lambda f, high: high, f, high)
+    return jnp.where(f.value(low) <= 0.0, 0.0, s)
+
+
+def _polished(f: Cubic, high: Scalar) -> Scalar:
+    """The root of f on [0, high] by safeguarded Newton iterations from that of the chord."""
+    low = jnp.zeros_like(high)
     start, end = f.value(low), f.value(high)
     s = high * jnp.clip(_safe_divide(start, start - end), 0.0, 1.0)
-    s = jax.lax.cond(any_member(wanted), _polished, lambda f, s, high: s, f, s, high)
-    return jnp.where(start <= 0.0, 0.0, s)
-
-
-def _polished(f: Cubic, s: Scalar, high: Scalar) -> Scalar:
-    """The root of f on [0, high] by safeguarded Newton iterations from s."""
-    low = jnp.zeros_like(s)
     for _ in range(_POLISH):
         value = f.value(s)
         low, high = jnp.where(value >= 0.0, s, low), jnp.where(value >= 0.0, high, s)
@@ -147,10 +196,18 @@ def crossing(c: Cubic) -> tuple[Scalar, Scalar]:
     The derivative of the fraction is that of the implicit function c(s) = 0.
     """
     crosses = (c.c0 < 0.0) & (c.value(1.0) >= 0.0)
-    s = first_root(jax.lax.stop_gradient(c).scaled(-1.0), jnp.ones_like(c.c0), 0.0, crosses)
-    slope = jax.lax.stop_gradient(c.slope(s))
-    s = s - _safe_divide(c.value(s), slope)
-    return crosses, jnp.where(crosses, s, 1.0)
+    one = jnp.ones_like(c.c0)
+
+    def located(c: Cubic) -> tuple[Scalar, Scalar]:
+        s = first_root(c.scaled(-1.0), one, 0.0, crosses)
+        return s, _safe_divide(one, c.slope(s))
+
+    def none(c: Cubic) -> tuple[Scalar, Scalar]:
+        return one, one
+
+    s, steep = jax.lax.cond(any_member(crosses), located, none, jax.lax.stop_gradient(c))
+    s = s - c.value(s) * steep
+    return crosses, jnp.where(crosses, s, one)
 
 
 # Gauss-Legendre with three points integrates polynomials up to degree 5 exactly: enough for a

@@ -34,12 +34,20 @@ class Switch(NamedTuple):
 
     sign: -1, 0, +1 (0 only while the guard has been identically zero since the start; smoothed
     runs have values between); on: 1.0 where sign >= 0, hard in every mode (equality counts as
-    on); gate: 1.0 or 0.0 like `on`, but smooth in smoothed runs.
+    on); gate: 1.0 or 0.0 like `on`, but smooth in smoothed runs; smooth: whether this is one.
     """
 
     sign: Scalar
     on: Scalar
     gate: Scalar
+    smooth: bool = False
+
+    def agrees(self, other: Switch) -> Scalar:
+        """1.0 where the product of two signs is >= 0, else 0.0; smoothed on the negative side."""
+        product = self.sign * other.sign
+        if self.smooth:
+            return quintic(1.0 + jnp.minimum(product, 0.0))
+        return jnp.where(product >= 0.0, jnp.ones_like(product), 0.0)
 
 
 def quintic(u: Scalar) -> Scalar:
@@ -100,7 +108,8 @@ class Plain(Deadzone):
 
     def switch(self, surface: Surface, value: Scalar, mode: Scalar) -> Switch:
         value = jax.lax.stop_gradient(jnp.asarray(value))
-        return _hard(jnp.sign(value), value.dtype)
+        on = (value >= 0.0).astype(value.dtype)  # without the sign, which few ask for
+        return Switch(jnp.sign(value), on, on)
 
 
 class Smoothed(Deadzone):
@@ -126,7 +135,7 @@ class Smoothed(Deadzone):
         value = jnp.asarray(value)
         width = self.width if surface.unit == "rad" else self.speed_width
         gate = quintic(0.5 * (1.0 + value / width))
-        return Switch(2.0 * gate - 1.0, (value >= 0.0).astype(value.dtype), gate)
+        return Switch(2.0 * gate - 1.0, (value >= 0.0).astype(value.dtype), gate, smooth=True)
 
 
 def switch_all(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
-
-from jaxsim.hybrid import Surface, Switch, quintic
+from jaxsim.hybrid import Surface, Switch
 from jaxsim.law import Law, Measured, Scalar
 from jaxsim.parameters import parameter
 
@@ -29,5 +27,4 @@ class SwitchedDamping(Law):
         return y.omega_B, y.omega_L
 
     def command(self, state: Any, y: Measured, switches: tuple[Switch, ...]) -> Scalar:
-        product = switches[0].sign * switches[1].sign
-        return self.K_B * y.omega_B * quintic(1.0 + jnp.minimum(product, 0.0))
+        return self.K_B * y.omega_B * switches[0].agrees(switches[1])

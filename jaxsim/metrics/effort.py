@@ -33,10 +33,11 @@ class Effort(Metric):
     def update(self, fold: Any, piece: Piece) -> Any:
         top, bottom, square, variation, last = fold
         u = piece.cubic("command")
+        bottom, top = hermite.widened(bottom, top, piece.segment("command"))
         jump = jnp.abs(piece.before.command - last)
         return (
-            jnp.maximum(top, hermite.largest(u)),
-            jnp.minimum(bottom, hermite.smallest(u)),
+            top,
+            bottom,
             square + piece.h * hermite.integral(lambda s: u.value(s) ** 2, 0.0, 1.0),
             variation + jump + jnp.abs(piece.after.command - piece.before.command),
             piece.after.command,

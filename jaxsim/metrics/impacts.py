@@ -71,15 +71,16 @@ class Impacts(Metric):
 
     def update(self, fold: Any, piece: Piece) -> Any:
         first, braking, top, bottom = fold
-        torque = piece.cubic("T_s")
-        highest, lowest = hermite.largest(torque), hermite.smallest(torque)
+        torque = piece.segment("T_s")
+        lowest, highest = hermite.widened(jnp.inf, -jnp.inf, torque)
+        bottom, top = hermite.widened(bottom, top, torque)
         contact = piece.before.contact
         braked = (first.side != 0.0) & (contact == -first.side)
         return (
             first.follow(piece, contact != 0.0, highest, lowest),
             braking.follow(piece, braked, highest, lowest),
-            jnp.maximum(top, highest),
-            jnp.minimum(bottom, lowest),
+            top,
+            bottom,
         )
 
     def finish(self, fold: Any) -> dict[str, Scalar]:

@@ -42,20 +42,20 @@ class LimitCycle(Metric):
         early, late, torque, count, first, last, sign = fold
         begin = (1.0 - _WINDOW) * self.task.duration
         middle = (1.0 - 0.5 * _WINDOW) * self.task.duration
-        theta, omega, T_s = (piece.cubic(n) for n in ("theta_L", "omega_L", "T_s"))
+        theta, omega = piece.segment("theta_L"), piece.cubic("omega_L")
         at = piece.t + 0.5 * piece.h
         inside = at >= begin
-        high, low = hermite.largest(theta), hermite.smallest(theta)
+        low, high = hermite.widened(jnp.inf, -jnp.inf, theta)
         crosses, s = hermite.crossing(omega)
         when = piece.t + jnp.where(crosses, s, 0.0) * piece.h
         end = omega.value(1.0)
         now = jnp.where(jnp.abs(end) > _STILL, jnp.sign(end), sign)
         rises = (sign < 0.0) & (now > 0.0) & inside
-        size = jnp.maximum(hermite.largest(T_s), -hermite.smallest(T_s))
+        lowest, highest = hermite.widened(-torque, torque, piece.segment("T_s"))
         return (
             _widen(early, high, low, inside & (at < middle)),
             _widen(late, high, low, at >= middle),
-            jnp.where(inside, jnp.maximum(torque, size), torque),
+            jnp.where(inside, jnp.maximum(highest, -lowest), torque),
             count + rises,
             jnp.where(rises, jnp.minimum(first, when), first),
             jnp.where(rises, when, last),

@@ -45,16 +45,17 @@ class Response(Metric):
 
     def update(self, fold: Any, piece: Piece) -> Any:
         top, bottom, beyond, passages, settled, _ = fold
-        theta = piece.cubic("theta_L")
-        excess = hermite.largest(theta.shifted(-self.task.target).scaled(self.task.direction))
+        theta, segment = piece.cubic("theta_L"), piece.segment("theta_L")
+        excess = hermite.raised(beyond, segment, self.task.direction, self.task.target)
+        bottom, top = hermite.widened(bottom, top, segment)
         passages = tuple(
             jnp.minimum(old, self._passage(theta, piece, level))
             for old, level in zip(passages, _LEVELS, strict=True)
         )
         return (
-            jnp.maximum(top, hermite.largest(theta)),
-            jnp.minimum(bottom, hermite.smallest(theta)),
-            jnp.where(self.task.begun(piece), jnp.maximum(beyond, excess), beyond),
+            top,
+            bottom,
+            jnp.where(self.task.begun(piece), excess, beyond),
             passages,
             last_entry(theta, piece, self.task, settled),
             piece.after.theta_L,

@@ -29,10 +29,10 @@ class StepTorque(Metric):
     def update(self, fold: Any, piece: Piece) -> Any:
         direction = self.task.direction
         way = jnp.where(direction == 0.0, 1.0, direction)
-        along = piece.cubic("T_s").scaled(way)
+        torque = piece.segment("T_s")
         return (
-            jnp.maximum(fold[0], hermite.largest(along)),
-            jnp.maximum(fold[1], -hermite.smallest(along)),
+            hermite.raised(fold[0], torque, way, 0.0),
+            hermite.raised(fold[1], torque, -way, 0.0),
         )
 
     def finish(self, fold: Any) -> dict[str, Scalar]:

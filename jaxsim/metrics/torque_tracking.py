@@ -37,15 +37,15 @@ class TorqueTracking(Metric):
 
     def update(self, fold: Any, piece: Piece) -> Any:
         square, worst, beyond, settled = fold
-        torque, reference = piece.cubic("T_s"), piece.cubic("reference")
-        error = hermite.Cubic(*(r - T for r, T in zip(reference, torque, strict=True)))
-        excess = torque.shifted(-self.task.target).scaled(self.task.direction)
-        largest = jnp.maximum(hermite.largest(error), -hermite.smallest(error))
+        torque = piece.segment("T_s")
+        off = piece.segment("reference").minus(torque)
+        error = off.cubic()
+        lowest, highest = hermite.widened(-worst, worst, off)
         return (
             square + piece.h * hermite.integral(lambda s: error.value(s) ** 2, 0.0, 1.0),
-            jnp.maximum(worst, largest),
-            jnp.maximum(beyond, hermite.largest(excess)),
-            last_entry(torque, piece, self.task, settled),
+            jnp.maximum(highest, -lowest),
+            hermite.raised(beyond, torque, self.task.direction, self.task.target),
+            last_entry(torque.cubic(), piece, self.task, settled),
         )
 
     def finish(self, fold: Any) -> dict[str, Scalar]:

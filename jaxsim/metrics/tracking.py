@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 
 from jaxsim import hermite
@@ -30,13 +31,7 @@ class Tracking(Metric):
     def update(self, fold: Any, piece: Piece) -> Any:
         iae, itae, square = fold
         error = piece.cubic("theta_L").shifted(-self.task.target).scaled(-1.0)
-        side = jnp.where(error.c0 < 0.0, -1.0, 1.0)
-        crosses, cut = hermite.crossing(error.scaled(-side))
-        first = jnp.where(crosses, side, jnp.sign(error.value(0.5)))
-
-        # |e| is first*e up to the cut and -first*e from there on.
-        area = first * (2.0 * error.area(cut) - error.area(1.0))
-        moment = first * (2.0 * error.moment(cut) - error.moment(1.0))
+        area, moment = _absolute(piece.segment("theta_L"), self.task.target)
         since = piece.t - self.task.onset
         counts = self.task.begun(piece)
         return (
@@ -58,3 +53,32 @@ class Tracking(Metric):
             "itae_rad_s2": itae,
             "error_rms_rad": jnp.where(span > 0.0, jnp.where(moved, rms, 0.0), jnp.nan),
         }
+
+
+def _absolute(s: hermite.Segment, target: Scalar) -> tuple[Scalar, Scalar]:
+    """The integrals of |e| and s|e| over a piece, s from 0 to 1; e changes its sign once at most.
+
+    Without a change they are the sizes of those of e. The rest is for pieces that have one.
+    """
+    error = s.cubic().shifted(-target)
+    whole = error.area(1.0), error.moment(1.0)
+
+    def divided(s: hermite.Segment) -> tuple[Scalar, Scalar]:
+        error = s.cubic().shifted(-target)
+        side = jnp.where(error.c0 < 0.0, -1.0, 1.0)
+        crosses, cut = hermite.crossing(error.scaled(-side))
+        # |e| is side*e up to the cut and -side*e from there on.
+        halves = (error.area(cut), error.area(1.0)), (error.moment(cut), error.moment(1.0))
+        area, moment = (
+            jnp.where(crosses, side * (2.0 * first - both) - jnp.abs(both), 0.0)
+            for first, both in halves
+        )
+        return area, moment
+
+    def alike(s: hermite.Segment) -> tuple[Scalar, Scalar]:
+        zero = jnp.zeros_like(s.start)
+        return zero, zero
+
+    changes = (error.c0 != 0.0) & (error.c0 * (s.end - target) <= 0.0)
+    more = jax.lax.cond(hermite.any_member(changes), divided, alike, s)
+    return jnp.abs(whole[0]) + more[0], jnp.abs(whole[1]) + more[1]

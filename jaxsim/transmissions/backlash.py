@@ -60,18 +60,19 @@ class Backlash(Transmission):
         """The two contacts; one of them where half_gap = 0 and rest put both on the boundary."""
         plus, minus = switches[:2]
         other = 1.0 - plus.on * minus.on
-        return plus, Switch(minus.sign, minus.on * other, minus.gate * other)
+        return plus, minus._replace(on=minus.on * other, gate=minus.gate * other)
 
     def torque(
         self, theta_B: Scalar, omega_B: Scalar, extra: Any, switches: tuple[Switch, ...]
     ) -> Scalar:
         plus, minus = self._sides(switches)
-        push_plus, push_minus = (s.on for s in switches[2:]) if self.no_pull else (1.0, 1.0)
-        spring_plus = plus.on * (theta_B - self.half_gap)
-        spring_minus = minus.on * (theta_B + self.half_gap)
-        return push_plus * (self.K * spring_plus + plus.gate * self.D_B * omega_B) + push_minus * (
-            self.K * spring_minus + minus.gate * self.D_B * omega_B
-        )
+        springs = plus.on * (theta_B - self.half_gap), minus.on * (theta_B + self.half_gap)
+        gates = plus.gate, minus.gate
+        if self.no_pull:
+            push = switches[2].on, switches[3].on
+            springs = tuple(on * v for on, v in zip(push, springs, strict=True))
+            gates = tuple(on * v for on, v in zip(push, gates, strict=True))
+        return self.K * (springs[0] + springs[1]) + (gates[0] + gates[1]) * (self.D_B * omega_B)
 
     def field(
         self, theta_B: Scalar, omega_B: Scalar, extra: Any, switches: tuple[Switch, ...]
