@@ -32,11 +32,13 @@ from jaxsim.sampled import Differences
 from rl import arrays
 from rl.episodes import training_keys
 from rl.networks import first_network
+from rl.regret import alone, nominal_of, regret
 from rl.spec import APGSpec
 from rl.trainer import Trainer
 
 Scalar = Any
 
+_NOMINAL = 1  # folded into the key of an episode: whether it is the nominal one
 _WORSE = 1.5  # times the best validation loss: go back
 _ADAM = optax.scale_by_adam()
 
@@ -78,17 +80,31 @@ def _damped(state: State, decay: float) -> State:
     return state._replace(carry=state.carry._replace(x=x), seen=seen)
 
 
-def _loss(env: Environment, decay: float, network: Network, key: Any) -> Scalar:
-    """Minus the return of one episode; reverse mode keeps one state per control period."""
+def _loss(env: Environment, spec: APGSpec, network: Network, key: Any) -> Scalar:
+    """Minus the return of one episode, and its regret; reverse mode keeps one state per period."""
 
     @jax.checkpoint
-    def one(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Scalar]:
+    def one(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Any]:
         state, observation = carry
-        step = env.step(_damped(state, decay), network(observation))
-        return (step.state, step.observation), step.reward
+        step = env.step(_damped(state, spec.decay), network(observation))
+        return (step.state, step.observation), (step.reward, step.info.numbers)
 
-    rewards = jax.lax.scan(one, env.reset(key), None, length=env.steps)[1]
-    return -jnp.sum(rewards)
+    first = _first(env, spec.nominal, key)
+    rewards, numbers = jax.lax.scan(one, first, None, length=env.steps)[1]
+    loss = -jnp.sum(rewards)
+    if not spec.regret:
+        return loss
+    last = jax.tree.map(lambda v: v[-1], numbers)
+    return loss + spec.regret * regret(env.task, last, alone(env, first[0]), spec.margin)
+
+
+def _first(env: Environment, share: float, key: Any) -> tuple[State, Any]:
+    """A fresh episode; a share of them is the task's nominal one."""
+    if not share:
+        return env.reset(key)
+    named = nominal_of(env).reset(key)
+    drawn = jax.random.uniform(jax.random.fold_in(key, _NOMINAL)) < share
+    return jax.tree.map(lambda a, b: jnp.where(drawn, a, b), named, env.reset(key))
 
 
 def _clipped_mean(gradients: Any, losses: Any, clip: float) -> Any:
@@ -118,7 +134,7 @@ class _Program(eqx.Module):
 
         def loss(layers: Any, key: Any) -> Scalar:
             network = eqx.tree_at(lambda v: v.layers, memory.network, layers)
-            return _loss(self.env, self.spec.decay, network, key)
+            return _loss(self.env, self.spec, network, key)
 
         losses, gradients = jax.vmap(jax.value_and_grad(loss), (None, 0))(layers, keys)
         gradient = _clipped_mean(gradients, losses, self.spec.clip)

@@ -97,11 +97,6 @@ def run_law(env: Environment, law: Any, drives: Any, scenarios: Any) -> dict[str
     return {"cost": cost, **terms, "failed": failed}
 
 
-def run_nominal(laws: dict[str, Any], drive: Any, scenario: Any) -> dict[str, Any]:
-    """One run of each law, with all signals and metrics."""
-    return {n: simulate(drive, law, scenario, throw=False) for n, law in laws.items()}
-
-
 def tune(env: Environment, rival: Rival, runs: int, tell: Callable[[int], None]) -> Tuned:
     """CMA-ES on the median cost of episodes that no agent is validated or tested on.
 
@@ -136,4 +131,4 @@ def tune(env: Environment, rival: Rival, runs: int, tell: Callable[[int], None])
     return Tuned(law, gains, float(search.result.fbest), search.countevals, took)
 
 
-__all__ = ["Rival", "Tuned", "conditions", "rivals", "run_law", "run_nominal", "tune"]
+__all__ = ["Rival", "Tuned", "conditions", "rivals", "run_law", "tune"]

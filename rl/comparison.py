@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from envs.environment import Environment, build
-from envs.task import TASKS
 from jaxsim.components import read_json
 from jaxsim.law import as_joint_law
 from jaxsim.status import Status
@@ -191,31 +189,12 @@ def sentences(lines: list[Line]) -> list[str]:
     return words
 
 
-def nominal_laws(study: Comparison, folder: Path, laws: Mapping[str, Any]) -> dict[str, Any]:
-    """Laws by name for the nominal case: the classical ones, and of each agent the best seed."""
-    found = dict(laws)
-    for name, specs in study.agents.items():
-        results = {s.seed: read_json(folder / f"{name}-{s.seed}" / "result.json") for s in specs}
-        best = min(results, key=lambda seed: results[seed]["validation_loss"])
-        found[name] = store.read_policy(folder / f"{name}-{best}")
-    return found
-
-
-def nominal_case(study: Comparison) -> tuple[Any, Any]:
-    """The drive and scenario of the paper."""
-    task = TASKS.find(study.task)(nominal=True)  # type: ignore[call-arg]
-    episode = task.draw(jax.random.key(0), 0)
-    return episode.drive, episode.scenario
-
-
 __all__ = [
     "TUNED",
     "Entry",
     "Line",
     "agents",
     "classical",
-    "nominal_case",
-    "nominal_laws",
     "sentences",
     "table",
     "tuned",

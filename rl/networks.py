@@ -40,11 +40,18 @@ def first_network(env: Environment, hidden: Sequence[int], key: Any) -> Network:
             itertools.pairwise(sizes), keys[1:], [1.0] * len(hidden) + [0.01], strict=True
         )
     ]
-    layers[-1] = eqx.tree_at(lambda v: v.bias, layers[-1], np.arctanh(_neutral(task)))
+    layers[-1] = eqx.tree_at(lambda v: v.bias, layers[-1], np.arctanh(neutral(task)))
     return Network(layers, mean, np.maximum(scale, _LEAST))
 
 
-def _neutral(task: Task) -> np.ndarray:
+def idle_network(env: Environment) -> Network:
+    """A network that leaves the law at work alone, whatever it sees."""
+    size, action = len(env.task.channels), neutral(env.task)
+    layer = Layer(np.zeros((len(action), size)), action)
+    return Network((layer,), np.zeros(size), np.ones(size), squash="clip")
+
+
+def neutral(task: Task) -> np.ndarray:
     """The action under which the law is as the task gives it."""
     law = task.law()
     own = [(float(tree.get(law, a.parameter)) - a.centre) / a.full_scale for a in task.actions]
@@ -55,21 +62,21 @@ def _neutral(task: Task) -> np.ndarray:
 def _spread(env: Environment, key: Any) -> tuple[Any, Any]:
     """Mean and standard deviation of the observations under wandering actions."""
     plain = eqx.tree_at(lambda v: v.deadzone, env, Plain(), is_leaf=lambda v: v is env.deadzone)
-    neutral = jnp.asarray(_neutral(env.task), env.dtype)
+    at_rest = jnp.asarray(neutral(env.task), env.dtype)
 
     def one(key: Any) -> Any:
         own, noise = jax.random.split(key)
-        shocks = jax.random.normal(noise, (env.steps, len(neutral)), env.dtype)
+        shocks = jax.random.normal(noise, (env.steps, len(at_rest)), env.dtype)
 
         def step(carry: Any, shock: Any) -> Any:
             state, wander = carry
             wander = _PERSISTENCE * wander + (1.0 - _PERSISTENCE**2) ** 0.5 * shock
-            action = jnp.clip(neutral + _NOISE * wander, -1.0, 1.0)
+            action = jnp.clip(at_rest + _NOISE * wander, -1.0, 1.0)
             done = plain.step(state, action)
             return (done.state, wander), done.observation
 
         state, _ = plain.reset(own)
-        return jax.lax.scan(step, (state, jnp.zeros_like(neutral)), shocks)[1]
+        return jax.lax.scan(step, (state, jnp.zeros_like(at_rest)), shocks)[1]
 
     seen = jax.vmap(one)(jax.random.split(key, _EPISODES)).reshape(-1, len(env.task.channels))
     return jnp.mean(seen, 0), jnp.std(seen, 0)

@@ -17,27 +17,10 @@ from jaxsim.run import Run
 from rl import figures
 from rl.classical import Tuned
 from rl.comparison import TUNED, Entry, Line
+from rl.nominal import JUDGED
 from rl.study import Comparison
 
-# What the 2018 paper judges by, in the nominal case.
-NOMINAL = {
-    "rad": (
-        "first_impact_Nm",
-        "braking_peak_Nm",
-        "overshoot_pct",
-        "settle_2pct_s",
-        "itae_rad_s2",
-        "command_peak",
-        "command_variation",
-    ),
-    "Nm": (
-        "torque_error_rms_Nm",
-        "torque_overshoot_pct",
-        "torque_settle_2pct_s",
-        "command_peak",
-        "command_variation",
-    ),
-}
+_COMMAND = ("command_peak", "command_variation")
 
 
 def head(lines: Sequence[Line]) -> list[str]:
@@ -85,7 +68,7 @@ def _medians(lines: Sequence[Line]) -> Table:
 
 def nominal_table(runs: Mapping[str, Run], unit: str) -> Table:
     """The metrics of the nominal case."""
-    names = NOMINAL[unit]
+    names = (*JUDGED[unit], *_COMMAND)
     rows = [[name, *(float(run.metrics[m]) for m in names)] for name, run in runs.items()]
     caption = (
         "The paper's drive and step, simulated with each law; of an agent the seed that was best "

@@ -37,6 +37,9 @@ class APGSpec(_Common):
     width: float = Field(gt=0)
     speed_width: float = Field(gt=0)
     validate_every: int = Field(ge=1)
+    regret: float = Field(default=0.0, ge=0)
+    margin: float = Field(default=0.0, ge=0, lt=1)
+    nominal: float = Field(default=0.0, ge=0, le=1)
 
     @property
     def total(self) -> int:

@@ -36,8 +36,8 @@ from rl.trainer import Trainer
 class Row(NamedTuple):
     """One validation.
 
-    loss: minus the mean return of the training episodes before it; validation, cost: mean loss
-    and median cost of the validation episodes; cpu: seconds so far.
+    loss: mean objective of the training episodes before it; validation: the same of the policy on
+    the validation episodes; cost: its median cost there; cpu: seconds so far.
     """
 
     done: int

@@ -49,8 +49,7 @@ def command(
 def _compare(what: Any, out: Path, console: Any) -> tuple[Any, list[str]]:
     """Score everything and write it down."""
     from envs.environment import build
-    from rl import comparison, report
-    from rl.classical import run_nominal
+    from rl import comparison, nominal, report
 
     env = build(what.task)
     with console.status("Classical laws ...") as status:
@@ -65,11 +64,13 @@ def _compare(what: Any, out: Path, console: Any) -> tuple[Any, list[str]]:
         lines = comparison.table(entries)
         words = comparison.sentences(lines)
         status.update("Nominal case ...")
-        laws = comparison.nominal_laws(what, out / "agents", {**laws, "tuned": found.law})
-        runs = run_nominal(laws, *comparison.nominal_case(what))
+        paper = list(laws)[-1]
+        laws |= {comparison.TUNED: found.law, **nominal.best_policies(what, out / "agents")}
+        runs = nominal.run(laws, *nominal.case(what))
+        unit = comparison.unit_of(env)
+        words.append(nominal.sentence(what, out / "agents", paper, runs[paper], unit))
         status.update("Drawing ...")
         _draw_learning(what, out)
-        unit = comparison.unit_of(env)
         report.write(out, what, entries, lines, words, found, runs, unit)
     return lines, words
 
