@@ -34,6 +34,10 @@ class Sensors(Parameters):
         number: of the reading, counted from 0 before the start; each axis has numbers of its own.
         """
 
+    def counted(self, y: Measured) -> Measured:
+        """The true values as the hardware delivers them, before any arithmetic of the target."""
+        return y
+
 
 class TrueSpeeds(Sensors):
     """Everything as it is."""
@@ -80,10 +84,12 @@ class Encoders(Sensors):
     def read(
         self, y: Measured, last: Measured, ratio: Scalar, period: float, number: Scalar
     ) -> Measured:
+        return Differences().read(self.counted(y), last, ratio, period, number)
+
+    def counted(self, y: Measured) -> Measured:
         count = 2.0 * jnp.pi / self.counts
         theta_L, theta_M = (_rounded(angle, count) for angle in (y.theta_L, y.theta_M))
-        rounded = y._replace(theta_L=theta_L, theta_M=theta_M)
-        return Differences().read(rounded, last, ratio, period, number)
+        return y._replace(theta_L=theta_L, theta_M=theta_M)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
@@ -114,6 +120,9 @@ class Filtered(Sensors):
         omega_L = last.omega_L + share * (raw.omega_L - last.omega_L)
         omega_M = last.omega_M + share * (raw.omega_M - last.omega_M)
         return raw._replace(omega_L=omega_L, omega_M=omega_M, omega_B=omega_M / ratio - omega_L)
+
+    def counted(self, y: Measured) -> Measured:
+        return self.sensors.counted(y)
 
 
 class Noisy(Sensors):
@@ -260,7 +269,8 @@ class Sampled(eqx.Module):
         if self.precision == 64:
             return self._sample(ys, held, ratios, number)
         # Kept in the drive's own precision, which holds every float32: carries stay of one dtype.
-        coarse = cast((self, ys, held, ratios), jnp.float32)
+        counts = tuple(self.sensors.counted(y) for y in ys)
+        coarse = cast((self, counts, held, ratios), jnp.float32)
         done = coarse[0]._sample(*coarse[1:], number)
         return cast(done, ys[0].theta_L.dtype)
 

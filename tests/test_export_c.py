@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import shutil
 import subprocess
@@ -13,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxsim._simulate import simulate
+from jaxsim.commands.export import _limits
 from jaxsim.errors import InputError
 from jaxsim.export.c_code import sampled_at, write_c
 from jaxsim.export.step import Step
@@ -22,6 +25,7 @@ from jaxsim.laws.held_command import HeldCommand
 from jaxsim.laws.pi_torque import PITorque
 from jaxsim.laws.policy import Layer, Network, Policy
 from jaxsim.laws.positive_feedback import PositiveFeedback
+from jaxsim.motors.dc import Supply
 from jaxsim.observation import Action, Channel
 from jaxsim.sampled import Encoders, Noisy, Sampled
 from jaxsim.study import load
@@ -98,19 +102,15 @@ def _run_python(law: Any, ratios: tuple[float, ...], ys: list[Measured], dtype: 
     cast = lambda v: jnp.asarray(v, dtype)  # noqa: E731
     law, ys = jax.tree.map(cast, law), jax.tree.map(cast, ys)
     first = tuple(jax.tree.map(lambda v: v[0], ys))
-    policy = isinstance(law, Policy)
-    rest = law.base.rest(first) if policy else ()
 
-    def one(held: Any, y: Any) -> Any:
-        if policy:
-            held = law.on_tick(0, tuple(y), held, ratios, law.period, (rest, ((),)))
-            return held, jnp.stack(law.under(held).command(rest, tuple(y), ((),)))
-        held = law.on_tick(0, tuple(y), held, ratios, law.period)
+    def one(held: Any, now: Any) -> Any:
+        tick, y = now
+        held = law.on_tick(tick, tuple(y), held, ratios, law.period)
         return held, jnp.stack(held.command)
 
-    return np.asarray(
-        jax.jit(lambda f, v: jax.lax.scan(one, law.start(f, law.period), v)[1])(first, ys)
-    )
+    ticks = jnp.arange(len(ys[0].theta_L))
+    run = jax.jit(lambda f, v: jax.lax.scan(one, law.start(f, law.period), v)[1])
+    return np.asarray(run(first, (ticks, ys)))
 
 
 def _table(step: Step, ys: list[Measured]) -> np.ndarray:
@@ -150,7 +150,9 @@ def _clipped() -> tuple[Any, tuple[float, ...]]:
     return Sampled(Cascade(30.0, 2.0, 0.5, 1.5, 1e-3), PERIOD), (1.0,)
 
 
-def policy(activation: Any = "tanh") -> Policy:
+def policy(
+    activation: Any = "tanh", base: Any = None, period: float = PERIOD, action: Any = "level"
+) -> Policy:
     random = np.random.default_rng(0)
     names = ("error", "omega_L", "T_s", "remaining", "T_s max", "previous action")
     channels = tuple(Channel(n, "1", 0.7) for n in names)
@@ -161,8 +163,21 @@ def policy(activation: Any = "tanh") -> Policy:
         for a, b in itertools.pairwise(sizes)
     ]
     network = Network(layers, np.zeros(len(names)), np.full(len(names), 0.5), activation=activation)
-    base = HeldCommand(0.0, follows="rad")
-    return Policy(base, network, channels, (Action("u", "Nm", 3.0, "level"),), PERIOD, 2.0)
+    base = base or HeldCommand(0.0, follows="rad")
+    actions = (Action("u", "Nm", 3.0, action),)
+    return Policy(base, network, channels, actions, period, 2.0, Encoders())
+
+
+def _residual() -> tuple[Any, tuple[float, ...]]:
+    """The usual one: every 2 ms a torque beside PD, prefilter and damping, at work every 0.4 ms."""
+    base = load("bench_switched").law.laws[0] + HeldCommand(0.0)
+    return sampled_at(policy(base=base, period=5.0 * PERIOD), PERIOD), (1.0,)
+
+
+def _schedule() -> tuple[Any, tuple[float, ...]]:
+    """The gain of the damping, set at every sample."""
+    base = load("bench_switched").law
+    return sampled_at(policy(base=base, action="K_B"), None), (1.0,)
 
 
 CASES: dict[str, Any] = {
@@ -171,8 +186,10 @@ CASES: dict[str, Any] = {
     "leg: Butterworth, differences": _filtered,
     "arm: two joints": _arm,
     "cascade with limit": _clipped,
-    "policy tanh": lambda: (policy(), (1.0,)),
-    "policy relu": lambda: (policy("relu"), (1.0,)),
+    "policy tanh": lambda: (sampled_at(policy(), None), (1.0,)),
+    "policy relu": lambda: (sampled_at(policy("relu"), None), (1.0,)),
+    "policy beside PD and damping": _residual,
+    "policy sets a gain": _schedule,
 }
 
 
@@ -190,6 +207,22 @@ def test_c_commands_what_the_law_commands(name: str, single: bool, tmp_path: Pat
     assert scale > 0.1
     worst = np.abs(mine[:, :-1] - python).max() / scale
     assert worst <= (SINGLE if single else DOUBLE)
+
+
+def test_the_firmware_twin_runs_what_is_exported(tmp_path: Path) -> None:
+    """In the closed loop it commands, a period late, what the float C makes of its readings."""
+    study = load("bench_twin")
+    run = simulate(study.drive, study.law, study.scenario, dt=study.run.dt, metrics=())
+    every = round(study.law.period / study.run.dt)
+    signals = {n: np.asarray(v)[::every] for n, v in run.signals.items()}
+    step = write_c(tmp_path, study.law, (1.0,), {}, single=True)
+    for angle in ("theta_L", "theta_M"):
+        signals[angle] = COUNT * np.round(signals[angle] / COUNT)
+    table = np.stack([signals[n] for n in step.readings], axis=1)
+    mine = _run_c(tmp_path, step, 1, np.ascontiguousarray(table))[:, 0]
+    twin = signals["command"]
+    assert twin[0] == 0.0
+    assert np.abs(mine[:-1] - twin[1:]).max() <= SINGLE * np.abs(twin).max()
 
 
 def test_a_reading_that_is_no_number_changes_nothing(tmp_path: Path) -> None:
@@ -222,6 +255,22 @@ def test_gains_are_constants_to_tune_on_the_target(tmp_path: Path) -> None:
     )
     mine = _run_c(tmp_path, step, 1, table)[:, :1]
     assert np.abs(mine - python).max() <= DOUBLE * np.abs(python).max()
+
+
+def test_limits_stand_in_the_header_with_their_units(tmp_path: Path) -> None:
+    law, ratios = _clipped()
+    write_c(tmp_path, law, ratios, {})
+    text = (tmp_path / "law.h").read_text("utf-8")
+    assert text.startswith("/* Cascade of gearlash, run every 0.0004 s.")
+    assert "#define LAW_limit 1.5 /* V; largest control signal of either sign */" in text
+    supply = Supply(48.0)
+    drive = load("leg_torque").drive
+    motor = dataclasses.replace(drive.motor[0], supply=supply)
+    with_supply = dataclasses.replace(drive, motor=(motor,))
+    assert _limits(with_supply) == {
+        "limit of command": "48 V of either sign, at the study's supply"
+    }
+    assert _limits(load("bench_switched").drive) == {}
 
 
 def test_what_no_target_can_run_is_refused(tmp_path: Path) -> None:

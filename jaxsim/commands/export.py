@@ -41,13 +41,24 @@ def _c(study: Any, out: Path, period: str | None, single: bool) -> list[str]:
     law = sampled_at(study.law, every)
     make_folder("--out", out)
     ratios = tuple(float(t.ratio) for t in study.drive.transmission)
-    about = {"study": study.name, **provenance(dtype="float32" if single else "float64")}
+    about = {"study": study.name, **_limits(study.drive)}
+    about |= provenance(dtype="float32" if single else "float64")
     step = write_c(out, law, ratios, about, single=single)
     return [
         f"Wrote law.h and law.c to {out}: one step every {law.period:g} s",
         f"readings: {', '.join(step.readings)}",
         f"memory: {len(step.memory)} numbers; gains: {', '.join(g.name for g in step.gains)}",
     ]
+
+
+def _limits(drive: Any) -> dict[str, str]:
+    """What the amplifiers of the study can give, for the head of the file."""
+    found = {}
+    for axis, motor in enumerate(drive.motor):
+        if (supply := getattr(motor, "supply", None)) is not None:
+            name = f"limit of command_{axis}" if drive.axes > 1 else "limit of command"
+            found[name] = f"{float(supply.limit):g} V of either sign, at the study's supply"
+    return found
 
 
 def _number(text: str) -> Any:

@@ -11,17 +11,22 @@ import numpy as np
 from jaxsim.errors import InputError
 from jaxsim.export.c_expressions import Printer, literal
 from jaxsim.export.step import UNITS, Gain, Step, named, step_of
+from jaxsim.law import Decentral
 from jaxsim.laws.policy import Policy
 from jaxsim.provenance import replace_text
 from jaxsim.sampled import Sampled
 
 
-def sampled_at(law: Any, period: float | None) -> Any:
+def sampled_at(law: Any, period: float | None) -> Sampled:
     """The law as the target runs it: as it is where it is sampled, else every `period` s.
+
+    A policy is asked at its own period, which must be a multiple of `period`, its default.
 
     Raises: InputError where no period is given, or another than the law's own.
     """
-    if isinstance(law, Sampled | Policy):
+    if isinstance(law, Policy):
+        return Sampled(law, law.period if period is None else period, sensors=law.sensors)
+    if isinstance(law, Sampled):
         if period is not None and abs(period - law.period) > 1e-9 * law.period:
             rule = f"must be the law's own period, {law.period:g} s"
             raise InputError("--period", rule, period, "leave it out, or change the study")
@@ -33,9 +38,14 @@ def sampled_at(law: Any, period: float | None) -> Any:
 
 
 def write_c(
-    out: Path, law: Any, ratios: tuple[float, ...], about: dict[str, Any], *, single: bool = False
+    out: Path,
+    law: Sampled,
+    ratios: tuple[float, ...],
+    about: dict[str, Any],
+    *,
+    single: bool = False,
 ) -> Step:
-    """Write law.h and law.c of a sampled law or policy. ratios: of the gears, per axis.
+    """Write law.h and law.c of a sampled law. ratios: of the gears, per axis.
 
     single: float instead of double. Raises: InputError for a law that no target can run.
     """
@@ -53,7 +63,7 @@ def header(step: Step, law: Any, about: dict[str, Any], *, single: bool) -> str:
     commands = [f"law_real {name}; /* {law.command_unit} */" for name in _commands(law)]
     return "\n".join(
         [
-            f"/* {type(law).__name__} of gearlash, run every {law.period:g} s.",
+            f"/* {_kind(law.law)} of gearlash, run every {law.period:g} s.",
             " *",
             *(f" * {key}: {value}" for key, value in _flat(about)),
             " *",
@@ -89,10 +99,15 @@ def header(step: Step, law: Any, about: dict[str, Any], *, single: bool) -> str:
 
 _USE = (
     "Fixed period, no allocation, no global state: one law_state per drive. The delay of the "
-    "target is its own and not in here. Commands are limited only as far as the law limits them: "
-    "clip at the amplifier. Integrators are advanced by Tustin's rule. Gains below may be changed "
-    "and compiled again."
+    "target is its own and not in here. Commands are limited where the law limits them, and only "
+    "there: clip at the amplifier. Integrators are advanced by Tustin's rule and have no anti-"
+    "windup but the law's own. Gains below may be changed and compiled again."
 )
+
+
+def _kind(law: Any) -> str:
+    """The class of a law, of one axis where it stands alone."""
+    return type(law.laws[0] if isinstance(law, Decentral) and law.axes == 1 else law).__name__
 
 
 def source(step: Step, law: Any, *, single: bool) -> str:

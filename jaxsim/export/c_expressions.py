@@ -57,6 +57,8 @@ class Printer:
     def _expression(self, op: str, args: tuple[int, ...]) -> tuple[str, int]:
         if op in _INFIX:
             sign, level = _INFIX[op]
+            if level < 4:  # compilers warn of a comparison or `&&` beside another without them
+                return f"{self._at(args[0], 4)} {sign} {self._at(args[1], 4)}", level
             # Left to right as in Python: rounding is the same only in the same order.
             return f"{self._at(args[0], level)} {sign} {self._at(args[1], level + 1)}", level
         if op == "sum":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,8 +13,7 @@ import numpy as np
 from jaxsim.errors import InputError
 from jaxsim.export import tracing
 from jaxsim.export.graph import Graph
-from jaxsim.law import Measured
-from jaxsim.laws.policy import Policy
+from jaxsim.law import Measured, Supervised
 from jaxsim.sampled import Noisy, Sampled
 
 UNITS = dict.fromkeys(Measured._fields, "rad") | {
@@ -51,20 +49,13 @@ class Step(NamedTuple):
     commands: list[int]
 
 
-class _Functions(NamedTuple):
-    """start(law, ys) -> memory; step(law, memory, ys) -> memory and commands. All traceable."""
+def step_of(law: Sampled, ratios: tuple[float, ...]) -> Step:
+    """The step of a sampled law. ratios: of the gears, per axis.
 
-    start: Callable[..., Any]
-    step: Callable[..., Any]
-
-
-def step_of(law: Any, ratios: tuple[float, ...]) -> Step:
-    """The step of a sampled law or of a policy. ratios: of the gears, per axis.
-
-    Raises: InputError for what has no meaning on a target: random noise, a policy over a law with
-    a state of its own or one that is told the motor's current, operations without counterpart.
+    Raises: InputError for what has no meaning on a target: random noise, a policy that is told
+    the motor's current, operations without counterpart.
     """
-    functions = _policy(law, ratios) if isinstance(law, Policy) else _sampled(law, ratios)
+    _check(law)
     graph = Graph()
     gains, leaves = _gains(graph, law)
     ys, readings = _readings(graph, law)
@@ -75,10 +66,10 @@ def step_of(law: Any, ratios: tuple[float, ...]) -> Step:
     ] * law.axes
 
     def start(values: Any, ys: Any) -> Any:
-        return functions.start(jax.tree.unflatten(structure, values), tuple(ys))
+        return _first(jax.tree.unflatten(structure, values), tuple(ys))
 
     def step(values: Any, memory: Any, ys: Any) -> Any:
-        return functions.step(jax.tree.unflatten(structure, values), memory, tuple(ys))
+        return _next(jax.tree.unflatten(structure, values), memory, tuple(ys), ratios)
 
     first, shapes = jax.make_jaxpr(start, return_shape=True)(arrays, scalars)
     names = _cell_names(shapes, law.axes)
@@ -91,49 +82,44 @@ def step_of(law: Any, ratios: tuple[float, ...]) -> Step:
     return _used(Step(graph, gains, readings, cells, results[len(cells) :]))
 
 
-def _sampled(law: Any, ratios: tuple[float, ...]) -> _Functions:
+def _check(law: Any) -> None:
     if not isinstance(law, Sampled):
         kind = type(law).__name__
         raise InputError("law", "must be sampled to run on a target", kind, "give a period")
-    if isinstance(law.sensors, Noisy):
-        fix = "take the sensors inside `noisy`"
-        raise InputError("law.sensors", "must be without noise of their own", "noisy", fix)
-
-    def start(law: Any, ys: Any) -> Any:
-        held = law.start(ys, law.period)
-        return held.law, held.seen
-
-    def step(law: Any, memory: Any, ys: Any) -> Any:
-        # The target has its own delay: what is written is the law without one.
-        law = dataclasses.replace(law, delay=0.0)
-        held = law.start(ys, law.period)._replace(law=memory[0], seen=memory[1])
-        held = law.on_tick(0, ys, held, ratios, law.period)
-        return (held.law, held.seen), held.command
-
-    return _Functions(start, step)
+    for sensors in (law.sensors, getattr(law.law, "sensors", None)):
+        if isinstance(sensors, Noisy):
+            fix = "take the sensors inside `noisy`"
+            raise InputError("law.sensors", "must be without noise of their own", "noisy", fix)
 
 
-def _policy(law: Policy, ratios: tuple[float, ...]) -> _Functions:
-    """The network, and the law that it sets, whose command is held for the period."""
-    if isinstance(law.sensors, Noisy):
-        fix = "take the sensors inside `noisy`"
-        raise InputError("law.sensors", "must be without noise of their own", "noisy", fix)
-    zeros = (Measured(*[0.0] * len(Measured._fields)),) * law.axes
-    if jax.tree.leaves(law.base.rest(zeros)) or any(law.base.surfaces):
-        raise InputError(
-            "law.base", "must have neither state nor switches: it runs between samples",
-            type(law.base).__name__, "sample it, or train a policy that commands the torque",
-        )  # fmt: skip
+class _Memory(NamedTuple):
+    """States of the law and of a policy over it, the readings before, samples since its turn."""
 
-    def start(law: Any, ys: Any) -> Any:
-        return law.start(ys, law.period)
+    x: Any
+    policy: Any
+    last: Any
+    count: Any
 
-    def step(law: Any, held: Any, ys: Any) -> Any:
-        states = (law.base.rest(ys), ((),) * law.axes)
-        held = law.on_tick(0, ys, held, ratios, law.period, states)
-        return held, law.under(held).command(states[0], (held.seen,), ((),) * law.axes)
 
-    return _Functions(start, step)
+def _first(law: Sampled, ys: Any) -> _Memory:
+    """The memory before the first sample."""
+    held = law.start(ys, law.period)
+    x, policy = held.law if isinstance(law.law, Supervised) else (held.law, ())
+    return _Memory(x, policy, held.seen, jnp.zeros(()))
+
+
+def _next(law: Sampled, memory: _Memory, ys: Any, ratios: tuple[float, ...]) -> tuple[Any, Any]:
+    """Memory and commands after a sample, in whatever precision the target has and undelayed."""
+    law = dataclasses.replace(law, delay=0.0, precision=64)
+    supervised = isinstance(law.law, Supervised)
+    every = law.law.ticks(law.period) if supervised else 1
+    inside = (memory.x, memory.policy) if supervised else memory.x
+    held = law.start(ys, law.period)._replace(law=inside, seen=memory.last)
+    # Where every sample is its turn, nothing is counted: what follows from 0 is folded away.
+    held = law.sample(ys, held, ratios, memory.count if every > 1 else 0)
+    x, policy = held.law if supervised else (held.law, ())
+    count = jnp.where(memory.count + 1.0 == every, 0.0, memory.count + 1.0)
+    return _Memory(x, policy, held.seen, count), held.waiting[0]
 
 
 def _gains(graph: Graph, law: Any) -> tuple[list[Gain], list[np.ndarray]]:
@@ -191,17 +177,14 @@ def named(names: Any, axis: int, axes: int) -> list[str]:
     return [f"{name}_{axis}" if axes > 1 else name for name in names]
 
 
-def _cell_names(memory: Any, axes: int) -> list[str]:
-    """last_... for the readings before; x1, x2, ... for the law's own state, in its order."""
-    names, own = [], 0
-    for path, _ in jax.tree_util.tree_flatten_with_path(memory)[0]:
-        parts = _parts(path)
-        if parts[-1] in Measured._fields and parts[0] in ("1", "seen"):
-            axis = parts[1] if axes > 1 else ""
-            names.append("_".join(v for v in ("last", parts[-1], axis) if v))
-        else:
-            own += 1
-            names.append(f"x{own}" if parts[0].isdigit() else "_".join(parts))
+def _cell_names(memory: _Memory, axes: int) -> list[str]:
+    """x1, x2, ... for the law's own state in its order; the others by what they are."""
+    names = [f"x{i + 1}" for i in range(len(jax.tree.leaves(memory.x)))]
+    for path, _ in jax.tree_util.tree_flatten_with_path(memory._replace(x=()))[0]:
+        words = _parts(path)
+        if words[0] == "last":
+            words = ["last", words[2], *(words[1:2] if axes > 1 else [])]
+        names.append("_".join(words))
     return names
 
 
