@@ -178,6 +178,32 @@ def test_a_sign_and_a_factor(log: dict[str, np.ndarray], tmp_path: Path) -> None
     assert T_s.noise == pytest.approx(1e-3)
 
 
+def test_a_column_of_one_recording_and_a_sum_of_two(log: Any, tmp_path: Path) -> None:
+    """The load has what the motor reads on top, in degrees, in this recording alone."""
+    table = _table()
+    plus = {"column": "motor [deg]", "factor": 0.5}
+    mine = {"theta_L": {"column": "motor [deg]", "unit": "deg", "plus": plus}}
+    table["identify"]["experiments"] = [{"log": "a.csv", "columns": mine}]
+    recorded, _ = _mapped(tmp_path, table)
+    theta_M, theta_L, _ = recorded.experiment.measurements
+    np.testing.assert_allclose(theta_L.values, 1.5 * theta_M.values, rtol=1e-12)
+    plain, _ = _mapped(tmp_path)
+    assert not np.allclose(plain.experiment.measurements[1].values, theta_L.values)
+
+
+def test_a_start_is_read_from_the_motor_by_a_parabola(log: Any, tmp_path: Path) -> None:
+    """0.1 + 0.7 t + 30 t^2 rad: a line through 20 readings would say 1.27 rad/s."""
+    log["motor [deg]"] = np.rad2deg(0.1 + 0.7 * logs.TIMES + 30.0 * logs.TIMES**2)
+    _save(tmp_path, log)
+    table = _table()
+    del table["identify"]["columns"]["theta_L"]
+    table["identify"] |= {"start": "readings", "first": 20}
+    recorded, _ = _mapped(tmp_path, table)
+    start = recorded.experiment.scenario.start[0]
+    assert float(start.theta_L) == pytest.approx(0.1, rel=1e-9)
+    assert float(start.omega_L) == pytest.approx(0.7, rel=1e-9)
+
+
 def test_a_missing_column_names_the_nearest(log: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"did you mean .*motor \[deg\]"):
         _mapped(tmp_path, _table(theta_M={"column": "motor [dg]", "unit": "deg"}))

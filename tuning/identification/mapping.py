@@ -28,8 +28,8 @@ from tuning.log import Log, read_log
 # Stamps this close to equal steps, as a share of a step, are equal steps.
 _EQUAL = 1e-5
 _MOST_TICKS = 5_000_000  # more is a time column in another unit
-# Readings at the start from which its angle and speed are taken.
-_FIRST = 5
+# So many readings at the start show that its speed changes, too.
+_BEND = 8
 _ANGLES = ("theta_L", "theta_M", "theta_B")
 _SPEED_OF = {"theta_L": "omega_L", "theta_M": "omega_M", "theta_B": "omega_B"}
 
@@ -105,6 +105,7 @@ def _recorded(
     study: Study, spec: Spec, recording: Recording, log: Log, name: str, dt: float
 ) -> Recorded:
     remarks: list[str] = []
+    spec = spec._replace(columns=recording.mapped(spec.columns))
     raw = {
         key: _series(study, spec, key, column, log, recording, remarks)
         for key, column in spec.columns.items()
@@ -114,7 +115,7 @@ def _recorded(
     duration = _duration(raw, dt, log)
     scenario = _scenario(study, spec, raw, duration, dt, remarks, log.path.name)
     if spec.start == "readings":
-        scenario = _started(scenario, raw)
+        scenario = _started(study, spec.first, scenario, raw)
     measured = tuple(
         _measured(study, key, spec.columns[key], series, duration, remarks)
         for key, series in raw.items()
@@ -164,6 +165,8 @@ def _series(
     """A column in SI units, cut to the recording's window, without repeated stamps."""
     where = f"identify.columns.{key}"
     stamps, raw = _stamps(spec, log, column), log.column(column.column)
+    if column.plus:
+        raw = raw + column.plus.factor * log.column(column.plus.column)
     if raw.shape != stamps.shape:
         got = f"{raw.size} readings, {stamps.size} time stamps"
         raise InputError(where, "must be as long as its time", got, "name its own `time` column")
@@ -279,18 +282,22 @@ def _measured(
     return measurement(key, series.times[inside], series.values[inside], noise, used=used[inside])
 
 
-def _started(scenario: Scenario, raw: dict[str, Series]) -> Scenario:
-    """Angle and speed of the load at the start, by a straight line through the first readings."""
-    if "theta_L" not in raw:
+def _started(study: Study, first: int, scenario: Scenario, raw: dict[str, Series]) -> Scenario:
+    """Angle and speed of the load at the start, by a line or parabola through the first readings.
+
+    Where only the motor is read, the load is where the motor is: the gear unwound, in mid-gap.
+    """
+    seen = next((n for n in ("theta_L", "theta_M") if n in raw), None)
+    if seen is None:
         return scenario
-    series = raw["theta_L"]
-    good = np.flatnonzero(np.isfinite(series.values) & ~series.spikes)[:_FIRST]
-    slope, angle = np.polynomial.polynomial.polyfit(series.times[good], series.values[good], 1)[
-        ::-1
-    ]
+    series = raw[seen]
+    good = np.flatnonzero(np.isfinite(series.values) & ~series.spikes)[:first]
+    times, degree = series.times[good], 2 if first >= _BEND else 1
+    angle, slope = np.polynomial.polynomial.polyfit(times, series.values[good], degree)[:2]
     # Less than one step of the encoder over these readings is rest.
-    still = abs(slope) * np.ptp(series.times[good]) <= max(series.quantum, 3.0 * series.noise)
-    start = Start(theta_L=angle, omega_L=0.0 if still else slope)
+    still = abs(slope) * np.ptp(times) <= max(series.quantum, 3.0 * series.noise)
+    ratio = float(study.drive.transmission[0].ratio) if seen == "theta_M" else 1.0
+    start = Start(theta_L=angle / ratio, omega_L=0.0 if still else slope / ratio)
     return Scenario(
         scenario.reference, scenario.load_torque, (start, *scenario.start[1:]),
         duration=scenario.duration,

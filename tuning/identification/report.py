@@ -16,7 +16,11 @@ from tuning.identification.spec import Spec
 
 FILES = ("drive.toml", "result.json", "parameters.csv", "experiments.csv", "residuals.csv")
 HEAD = ("parameter", "value", "low", "high", "unit", "start", "verdict", "why", "what would help")
-LOGS = ("log", "use", "signal", "unit", "rms before", "rms after", "readings", "white", "contact")
+LOGS = (
+    "log", "use", "signal", "unit", "rms before", "rms after", "of the readings [%]", "readings",
+    "white", "contact",
+)  # fmt: skip
+_MOST_TOLD = 8  # held-out logs and signals that are told in words
 
 
 def rows(outcome: Outcome) -> list[tuple[Any, ...]]:
@@ -51,11 +55,22 @@ def log_rows(outcome: Outcome) -> list[tuple[Any, ...]]:
             unit = UNITS[signal.partition("[")[0]]
             white = outcome.seen.whiteness[place[e]][s].white if e in place else None
             count = int(outcome.problem.readings.used[e, s].sum())
-            errors = float(outcome.before[e, s]), float(outcome.error[e, s])
+            errors = (
+                float(outcome.before[e, s]),
+                float(outcome.error[e, s]),
+                _relative(outcome, e, s),
+            )
             lines.append(
                 (recorded.experiment.name, use, signal, unit, *errors, count, white, touched)
             )
     return lines
+
+
+def _relative(outcome: Outcome, e: int, s: int) -> float:
+    """norm(model - readings)/norm(readings) of one signal of one log, %."""
+    used = outcome.problem.readings.used[e, s]
+    size = np.sqrt(np.mean(outcome.problem.readings.values[e, s][used] ** 2))
+    return float(100.0 * outcome.error[e, s] / size) if size > 0.0 else float("nan")
 
 
 def sentences(outcome: Outcome) -> list[str]:
@@ -66,6 +81,11 @@ def sentences(outcome: Outcome) -> list[str]:
     if outcome.test.size:
         first += f"; {outcome.test.size} more were held out"
     words = [first + "."]
+    words += [
+        f"Held out, {log}: {signal} {after:.4g} {unit} rms, {share:.4g} % of the readings."
+        for log, use, signal, unit, _, after, share, *_ in log_rows(outcome)[-_MOST_TOLD:]
+        if use == "held out"
+    ]
     if outcome.interrupted:
         words.append("The search was interrupted: this is the best there was.")
     for i in outcome.shown:

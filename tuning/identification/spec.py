@@ -18,11 +18,20 @@ from tuning.identification.unknowns import Free, free, path_of, unit_of
 INPUTS = ("reference", "load_torque")
 
 
+class Added(BaseModel):
+    """A column that is added to another one: `factor` is in that one's unit."""
+
+    model_config = ConfigDict(extra="forbid")
+    column: str
+    factor: float = 1.0
+
+
 class Column(BaseModel):
     """One column of the logs and how it is read. See docs/jobs/identify.md."""
 
     model_config = ConfigDict(extra="forbid")
     column: str
+    plus: Added | None = None
     unit: str | None = None
     sign: Literal[1, -1] = 1
     factor: float = 1.0
@@ -44,6 +53,11 @@ class Recording(BaseModel):
     begin: float | str | None = None
     end: float | str | None = None
     set: dict[str, Any] = {}
+    columns: dict[str, Column] = {}
+
+    def mapped(self, columns: dict[str, Column]) -> dict[str, Column]:
+        """The columns of the study, with those that this log has otherwise."""
+        return columns | self.columns
 
 
 class Search(NamedTuple):
@@ -66,7 +80,7 @@ class Spec(NamedTuple):
     """The section, read and checked against its own rules; logs are not opened yet.
 
     dt: integration step, s; None takes the largest one not above the study's that divides the
-    sampling. start: where axes start: as the study says, or by the first readings.
+    sampling. start: where axes start: as the study says, or by the `first` readings.
     """
 
     columns: dict[str, Column]
@@ -75,6 +89,7 @@ class Spec(NamedTuple):
     search: Search
     dt: float | None
     start: str
+    first: int
     folder: Path
     structures: dict[str, str]
 
@@ -94,6 +109,7 @@ class _Identify(BaseModel):
     confidence: float = Field(gt=0.5, lt=1.0, default=0.95)
     dt: float | str | None = None
     start: Literal["study", "readings"] = "study"
+    first: int = Field(ge=2, default=5)
     structures: dict[str, str] = {}
     # Read by gearlash design-experiment and gearlash watch.
     design: dict[str, Any] = {}
@@ -136,7 +152,15 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
     )  # fmt: skip
     dt = None if main.dt is None else float(to_si(main.dt, "s", "identify.dt"))
     return Spec(
-        columns, recordings, main.free, search, dt, main.start, study.folder, main.structures
+        columns,
+        recordings,
+        main.free,
+        search,
+        dt,
+        main.start,
+        main.first,
+        study.folder,
+        main.structures,
     )
 
 
