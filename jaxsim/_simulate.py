@@ -56,6 +56,7 @@ def simulate(
     store: int | None = 1,
     dtype: Any = None,
     throw: bool = True,
+    until: Any = None,
 ) -> Run:
     """Run a drive under a law through a scenario.
 
@@ -64,7 +65,9 @@ def simulate(
     (default), `Smoothed(...)` or `Plain()`. metrics: names to compute, of metrics and of stability
     criteria; None for all metrics, () for none.
     store: keep the signals every so many ticks, None keeps no trajectory. dtype: float32 or
-    float64, default JAX's. throw: raise when a run does not complete (never inside jit).
+    float64, default JAX's. throw: raise when a run does not complete (never inside jit). until: an
+    earlier end than the scenario's, s; unlike that one it may be traced: what is compiled serves
+    all ends, and signals after it are nan.
 
     Works under jit and vmap, and in forward and reverse mode with respect to every parameter.
 
@@ -77,7 +80,9 @@ def simulate(
     trees = tuple(cast(t, dtype) for t in (drive, law, scenario))
     single = [t[0] if isinstance(t, Batch) else t for t in trees]
     loop = ClosedLoop(single[0], single[1], single[2], options.deadzone, dt)
-    arrays = _run(options, *trees) if size is None else batch.gathered(_run_batch(options, *trees))
+    end = options.ticks if until is None else _ticks(until, options)
+    found = (_run if size is None else _run_batch)(options, end, *trees)
+    arrays = found if size is None else batch.gathered(found)
     # jit hands dictionaries back in alphabetical order; people read them by group.
     every = tuple(v for group in options.groups for v in group.values)
     order = every if metrics is None else tuple(metrics)
@@ -109,16 +114,21 @@ def _options(
     return _Options(ticks, store, choose(known, own), names, criteria, dt, deadzone)
 
 
+def _ticks(until: Any, options: _Options) -> Any:
+    """The tick at or after an instant (to rounding), at most the last one."""
+    return jnp.clip(jnp.ceil(until / options.dt - 1e-6), 0, options.ticks).astype(jnp.int32)
+
+
 @eqx.filter_jit
-def _run(options: _Options, drive: Drive, law: Any, scenario: Scenario) -> dict[str, Any]:
-    """One run, as a dictionary of arrays."""
+def _run(options: _Options, end: Any, drive: Drive, law: Any, scenario: Scenario) -> dict[str, Any]:
+    """One run to tick `end`, as a dictionary of arrays."""
     loop = ClosedLoop(drive, law, scenario, options.deadzone, options.dt)
     metrics = tuple(_axis_metrics(loop, options, axis) for axis in range(drive.axes))
     folds = tuple(tuple(m.start() for m in own) for own in metrics)
     carry = engine.start(loop, folds if options.groups else ())
     steps = engine.budget(loop, options.ticks)
     stored = options.store is not None
-    last, marks = engine.advance(loop, carry, options.ticks, steps, metrics, stored)
+    last, marks = engine.advance(loop, carry, end, steps, metrics, stored)
     arrays = _trajectory(loop, options, carry, marks) if marks is not None else _no_trajectory()
     numbers = _metrics(options, metrics, last) | _criteria(options, loop)
     bad = last.status == Status.INVALID.value
@@ -133,8 +143,8 @@ def _axis_metrics(loop: ClosedLoop, options: _Options, axis: int) -> tuple[Any, 
 
 
 @eqx.filter_jit
-def _run_batch(options: _Options, *trees: Any) -> dict[str, Any]:
-    return batch.map_members(lambda *single: _run(options, *single), *trees)
+def _run_batch(options: _Options, end: Any, *trees: Any) -> dict[str, Any]:
+    return batch.map_members(lambda end, *single: _run(options, end, *single), end, *trees)
 
 
 def _metrics(options: _Options, metrics: Any, carry: engine.Carry) -> dict[str, Any]:
@@ -158,7 +168,7 @@ def _criteria(options: _Options, loop: ClosedLoop) -> dict[str, Any]:
     def again(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
         groups = choose(METRICS.all(), names)
         own = replace(options, store=None, groups=groups, names=names, criteria=())
-        found = _run(own, loop.drive, loop.law, scenario)
+        found = _run(own, own.ticks, loop.drive, loop.law, scenario)
         completed = found["status"] == Status.OK.value
         return {k: jnp.where(completed, v, jnp.nan) for k, v in found["metrics"].items()}
 

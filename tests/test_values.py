@@ -344,3 +344,27 @@ def test_energy_balance() -> None:
     assert float(lost) > 1e-3
     # The loss is a quadrature of the cubic of each step, of an impact of 4 to 8 steps.
     assert float(work) == pytest.approx(float(stored + viscous + lost), abs=2e-6 * float(work))
+
+
+def test_an_earlier_end_changes_nothing_before_it() -> None:
+    """Traced, so that one program serves all ends; to rounding, as it is another program."""
+
+    @jax.jit
+    def until(end: Any) -> Any:
+        done = simulate(
+            bench.drive(), bench.law("switched"), bench.scenario(0.1), metrics=("T_s_max_Nm",),
+            throw=False, until=end,
+        )  # fmt: skip
+        return done.signals["T_s"], done.signals["theta_L"], done.status, done.metrics["T_s_max_Nm"]
+
+    short = simulate(
+        bench.drive(), bench.law("switched"), bench.scenario(0.04), metrics=("T_s_max_Nm",)
+    )
+    torque, angle, status, largest = until(0.04)
+    assert int(status) == 0
+    kept = short.signals["T_s"].size
+    np.testing.assert_allclose(torque[:kept], short.signals["T_s"], atol=1e-11)
+    np.testing.assert_allclose(angle[:kept], short.signals["theta_L"], atol=1e-13)
+    assert np.isnan(torque[kept:]).all()
+    assert float(largest) == pytest.approx(float(short.metrics["T_s_max_Nm"]), rel=1e-11)
+    assert np.isfinite(until(1.0)[0]).all()  # beyond the scenario's end there is nothing more

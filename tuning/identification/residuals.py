@@ -86,6 +86,7 @@ class Problem:
         self.unknowns = Unknowns(tuple(free), tuple(e.name for e in experiments))
         self.models, self.axes = _stacked(_alike([model_of(e) for e in experiments], dt))
         self.readings = _readings(self.experiments)
+        self.ends = self.readings.times.max(axis=(1, 2))
         own_delay = any(f.paths[0].endswith(".delay") for f in free)
         self.store = 1 if own_delay else _stride(self.experiments, dt)
 
@@ -145,9 +146,11 @@ class Problem:
         """
         key = (who.tobytes(), horizon)
         if key not in self._kept:
-            readings = self.readings if horizon >= 1.0 else _until(self.readings, horizon)
-            mine = jax.tree.map(lambda v: v[who], readings)
-            trees = _picked(self.models, self.axes, who), Batch(mine, (True,) * 4, len(who))
+            end = horizon * self.ends[who]
+            mine = _until(jax.tree.map(lambda v: v[who], self.readings), end)
+            # A reading between two stored instants needs the one after it.
+            whole = mine, end + self.store * self.dt
+            trees = _picked(self.models, self.axes, who), Batch(whole, (True,) * 5, len(who))
             if len(self._kept) >= _KEPT:
                 self._kept.clear()
             self._kept[key] = jax.tree.map(jnp.asarray, trees)
@@ -182,14 +185,15 @@ def _members(how: _How, *members: Batch) -> Any:
     return batch.map_members(lambda *own: _member(how, *own), *members)
 
 
-def _member(how: _How, model: Model, readings: Readings, values: Any, scale: Any) -> Any:
+def _member(how: _How, model: Model, read: tuple[Readings, Any], values: Any, scale: Any) -> Any:
     """Residuals (signals, samples), their derivatives (len(free), ...) and status of one run."""
+    readings, until = read
 
     def residuals(v: Any) -> tuple[Any, Any]:
         own = with_values(model, how.free, v)
         run = simulate(
             own.drive, own.law, own.scenario,
-            dt=how.dt, deadzone=how.deadzone, metrics=(), store=how.store, throw=False,
+            dt=how.dt, deadzone=how.deadzone, metrics=(), store=how.store, throw=False, until=until,
         )  # fmt: skip
         rows = [
             reading(run.signals, name, sensor, readings.times[i], how.store * how.dt)
@@ -211,7 +215,8 @@ def _contact(signals: Any) -> Any:
     """Shares of the stored instants in positive and in negative contact, of the first axis."""
     sides = signals["contact"]
     sides = sides if sides.ndim == 1 else sides[:, 0]
-    return jnp.stack([jnp.mean(sides > 0.0), jnp.mean(sides < 0.0)])
+    reached = jnp.sum(jnp.isfinite(sides))
+    return jnp.stack([jnp.sum(sides > 0.0), jnp.sum(sides < 0.0)]) / jnp.maximum(reached, 1)
 
 
 def reading(signals: Any, name: str, sensor: Sensor, times: Any, h: float) -> Any:
@@ -337,12 +342,10 @@ def _readings(experiments: Sequence[Experiment]) -> Readings:
     return Readings(filled("times"), filled("values"), noise, filled("used"))
 
 
-def _until(readings: Readings, horizon: float) -> Readings:
-    """Only the readings in the first share of each experiment count."""
-    end = horizon * readings.times.max(axis=(1, 2), keepdims=True)
-    return Readings(
-        readings.times, readings.values, readings.noise, readings.used & (readings.times <= end)
-    )
+def _until(readings: Readings, end: np.ndarray) -> Readings:
+    """Only the readings up to an instant of each experiment count."""
+    used = readings.used & (readings.times <= end[:, None, None])
+    return Readings(readings.times, readings.values, readings.noise, used)
 
 
 def _tail(values: np.ndarray, length: int) -> np.ndarray:
