@@ -108,6 +108,8 @@ class Load(Parameters):
     """What the transmissions move."""
 
     axes: ClassVar[int]
+    # Whether the mass matrix is positive definite at some angles and not at others.
+    turns_singular: ClassVar[bool] = False
 
     @abc.abstractmethod
     def acceleration(

@@ -112,6 +112,11 @@ class ClosedLoop(eqx.Module):
             self.law.ticks(dt)
 
     @property
+    def located(self) -> bool:
+        """Whether there are surfaces to land on."""
+        return self.deadzone.located and bool(self.surfaces)
+
+    @property
     def sampled(self) -> bool:
         """Whether the command is held, and no state of a law integrated."""
         return isinstance(self.law, Sampled)

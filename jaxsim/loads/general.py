@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -29,6 +29,8 @@ class Mechanism(Load):
 
     Raises: InputError when M, C or G have the wrong size.
     """
+
+    turns_singular: ClassVar[bool] = True
 
     M: Callable[..., Matrix] = eqx.field(static=True)
     C: Callable[..., tuple[Scalar, ...]] = eqx.field(static=True)
