@@ -21,6 +21,7 @@ from jaxsim.criteria.margins import CommandMargins, TorqueMargins
 from jaxsim.criteria.poles import ContactPoles, GapPoles
 from jaxsim.criterion import Criterion, Subject
 from jaxsim.derivatives.butterworth import Butterworth as FilterLaw
+from jaxsim.derivatives.levant import Levant
 from jaxsim.drives.two_link_arm_2014 import two_link_arm_2014
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Exact
@@ -37,6 +38,7 @@ from jaxsim.loads.two_link import TwoLink
 from jaxsim.loop import ClosedLoop
 from jaxsim.objective import Goal, Limit, Objective, read_objective
 from jaxsim.reproduction import _joints_2014 as paper
+from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario
 from jaxsim.signals.constant import Constant
 from jaxsim.study import Study, from_table, load
@@ -235,8 +237,10 @@ def test_small_starts_find_the_limit_cycle(bench: Study, K_B: float, cycles: boo
 
 def test_what_has_no_such_number_says_so() -> None:
     sampled, arm_study = load("bench_sampled"), load("arm_torque")
+    differing = PositiveFeedback.design(arm_study.drive, source=Levant(1e6))
+    levant = arm_study._replace(law=Sampled(arm_study.law + differing, arm_study.run.dt))
     for study, name, field, words in (
-        (sampled, "gain_margin_dB", "law", "small_start_cycle_rad"),
+        (levant, "gain_margin_dB", "law", "small_start_cycle_rad"),
         (sampled, "torque_gain_margin_db", "metrics", "torque_gain_margin_dB"),
         (load("bench_switched"), "torque_gain_margin_dB", "law", "K_p"),
         (arm_study, "rightmost_gap_pole_per_s", "drive.transmission", "play"),

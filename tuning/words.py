@@ -13,7 +13,7 @@ from tuning import working
 from tuning.conflict import Attained
 from tuning.local import size
 from tuning.result import Result, Verdict
-from tuning.session import FULL, Session
+from tuning.session import Session
 from tuning.solver import CONVERGED, SPENT
 from tuning.spec import Free
 
@@ -80,6 +80,7 @@ def _left_out(session: Session) -> list[str]:
         by_rule.setdefault(why.partition("; got")[0], []).append(index)
     lines = []
     for rule, own in by_rule.items():
+        own.sort()
         numbers = ", ".join(map(str, own[:_NAMED])) + (", ..." if len(own) > _NAMED else "")
         first = session.excluded[own[0]]
         lines.append(
@@ -212,11 +213,11 @@ def _bounds(session: Session, result: Result) -> list[str]:
 def _model(session: Session, result: Result) -> list[str]:
     """Where fresh runs say another cost than the search had."""
     spec = session.spec
-    if session.stage == FULL and spec.working < spec.count:
+    if session.final and spec.working < spec.count:
         few = f"{spec.working} drives that stand for all in a mean"
         return [f"The search ran on {few}, {len(session.drives)} with those next to a limit."]
     again = result.after.cost(spec.objective)
-    if session.stage != FULL or abs(again - result.searched) <= _SAME * abs(again):
+    if not session.final or abs(again - result.searched) <= _SAME * abs(again):
         return []
     model = "" if isinstance(session.study.run.deadzone, Exact) else " (it was not exact)"
     return [f"The model of the search{model} gave {result.searched:.6g}, fresh runs {again:.6g}."]

@@ -19,7 +19,7 @@ class CommandMargins(Criterion):
     gain_margin_dB, gain_reduction_dB: by how much its gain may rise, or fall, until poles lie on
     the imaginary axis, at most 60; phase_margin_deg: at most 180. One per axis. Where the closed
     loop is unstable they are negative: the distance to the nearest gain or phase at which it
-    changes. Linearised where the poles of `ContactPoles` are.
+    changes. Linearised where the poles of `ContactPoles` are; of a sampled law at the samples.
     """
 
     values: ClassVar[tuple[str, ...]] = ("gain_margin_dB", "gain_reduction_dB", "phase_margin_deg")
@@ -54,13 +54,14 @@ class TorqueMargins(Criterion):
 def _worst(modes: Modes, cuts: Cut) -> tuple[Any, ...]:
     """Margins (axes,) of gain, up and down, and phase: the least of all modes."""
 
-    def one(A: Any, cut: Cut) -> Any:
-        stable = traced.rightmost(A[None]) < 0.0
+    def one(A: Any, cut: Cut, period: Any) -> Any:
+        own = Modes(A[None], cut, None, None if period is None else period[None])
+        stable = traced.rightmost(own) < 0.0
 
         def told(loop: Loop) -> Any:
             both = traced.gain_margins(loop, stable)
             return jnp.append(both, traced.phase_margin(loop, stable))
 
-        return jax.vmap(told)(traced.cut_loops(A, cut))
+        return jax.vmap(told)(traced.cut_loops(A, cut, period))
 
-    return tuple(jax.vmap(one)(modes.A, cuts).min(axis=0).T)
+    return tuple(jax.vmap(one)(modes.A, cuts, modes.period).min(axis=0).T)

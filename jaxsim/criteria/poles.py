@@ -15,13 +15,14 @@ class ContactPoles(Criterion):
     least_damping: least -Re s/|s|, 1 where all poles are real.
     Linearised at the last reference of a position law, at the start's angles under a torque law,
     without ripple, friction and supply limit. Both have kinks where another pole takes over.
+    Of a sampled law those of the map over one period, s = log(z)/period: stable inside |z| < 1.
     """
 
     values: ClassVar[tuple[str, ...]] = ("rightmost_pole_per_s", "least_damping")
 
     def measure(self, subject: Subject) -> dict[str, Any]:
-        A = subject.in_contact.A
-        return {"rightmost_pole_per_s": traced.rightmost(A), "least_damping": traced.damping(A)}
+        modes = subject.in_contact
+        return dict(zip(self.values, (traced.rightmost(modes), traced.damping(modes)), strict=True))
 
 
 class GapPoles(Criterion):
@@ -34,4 +35,4 @@ class GapPoles(Criterion):
     values: ClassVar[tuple[str, ...]] = ("rightmost_gap_pole_per_s",)
 
     def measure(self, subject: Subject) -> dict[str, Any]:
-        return {"rightmost_gap_pole_per_s": traced.rightmost(traced.in_the_gap(subject.loop).A)}
+        return {"rightmost_gap_pole_per_s": traced.rightmost(traced.in_the_gap(subject.loop))}
