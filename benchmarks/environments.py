@@ -82,7 +82,7 @@ def main() -> None:
         "exact over plain, 1024": exact / plain,
         "one thread over one per core, one environment": rate["one", 1, "plain"] / single,
     }
-    measuring.save("environments", rows, ratios)
+    measuring.save("environments", {"rows": rows}, ratios)
 
 
 if __name__ == "__main__":

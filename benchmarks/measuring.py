@@ -18,6 +18,7 @@ from jaxsim.provenance import provenance, write_json
 # What is committed; `make bench` writes beside it and compare.py says what fell.
 RESULTS = Path(__file__).parent / "results"
 NEW = Path("results/bench")
+Rows = list[dict[str, Any]]
 REPEATS = 5
 ENOUGH_S = 0.05
 
@@ -74,16 +75,17 @@ def _model() -> str:
     return f"{named.get('model name', platform.processor())} {widest}".strip()
 
 
-def save(name: str, rows: list[dict[str, Any]], ratios: Mapping[str, float]) -> None:
+def save(name: str, tables: Mapping[str, Rows], ratios: Mapping[str, float]) -> None:
     """Write results/bench/NAME.json. ratios: what runs are compared by, larger is better."""
     path = NEW / f"{name}.json"
-    write_json(path, {"ratios": ratios, "rows": rows, "machine": fingerprint(), **provenance()})
-    show(name, rows)
+    write_json(path, {"ratios": ratios, "tables": tables, "machine": fingerprint(), **provenance()})
+    for title, rows in tables.items():
+        show(f"{name}: {title}", rows)
     show(f"{name}: ratios", [{"ratio": key, "value": value} for key, value in ratios.items()])
     Console().print(f"Wrote {path}")
 
 
-def show(title: str, rows: list[dict[str, Any]]) -> None:
+def show(title: str, rows: Rows) -> None:
     table = Table(title=title)
     for key in rows[0]:
         table.add_column(key, justify="left" if isinstance(rows[0][key], str) else "right")

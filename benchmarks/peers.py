@@ -178,7 +178,7 @@ def main() -> None:
         }
         for name, method in every.items()
     ]
-    measuring.save("peers", rows, _ratios(rate))
+    measuring.save("peers", {"rows": rows}, _ratios(rate))
 
 
 def _ratios(rate: dict[str, float]) -> dict[str, float]:

@@ -79,7 +79,7 @@ def main() -> None:
             for n, t in timings.items()
         ]
         ratios |= _ratios(members, rate)
-    measuring.save("throughput", rows, ratios)
+    measuring.save("throughput", {"rows": rows}, ratios)
 
 
 def _ratios(members: int, rate: dict[str, float]) -> dict[str, float]:

@@ -69,6 +69,23 @@ def test_fits_in_chunks_are_the_same_to_the_bit(
     assert team.computed == [0, 1, 0, 1]  # another search
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 4])
+def test_a_local_cluster_gives_the_same_bits(
+    workers: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Issue 7, line 5, for fits; tests/test_scale.py kills a worker."""
+    pytest.importorskip("distributed")
+    problem, starts, who = _fits_problem()
+    how: dict[str, Any] = {"who": who, "stages": STAGES[-1:], "iterations": 3}
+    whole = fit(problem, starts, **how)
+    monkeypatch.setattr(fits_spread, "_RUNS", 1)
+    with scale.Team(scale.Where(workers=workers)) as team:
+        chunks = fits_spread.Spread(team, tmp_path)(problem, starts, **how)
+    for name in Fits._fields:
+        np.testing.assert_array_equal(getattr(whole, name), getattr(chunks, name))
+
+
 def test_an_interrupted_search_keeps_its_finished_fits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
