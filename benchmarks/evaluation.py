@@ -1,19 +1,17 @@
 """How much faster a policy is scored in one scan than by SB3's evaluate_policy.
 
-    python benchmarks/evaluation.py
-
-The same policy, task, mode and episode length; steps of control per second, compile time apart,
-the best of three. evaluate_policy runs over one environment, as its users do.
+The same policy, task, mode and episode length; steps of control per second, compile time apart.
+evaluate_policy runs over one environment, as its users do.
 """
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import gymnasium
-import numpy as np
+import measuring
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -26,16 +24,6 @@ from rl.sb3 import network_of
 
 TASK, ID = "backlash_position_residual", "gearlash/BacklashPositionResidual-v0"
 EPISODES, MANY = 5, (256, 4096)
-
-
-def best(function: Callable[[], object], repeats: int = 3) -> float:
-    """The shortest of several calls, s."""
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def main() -> None:
@@ -51,15 +39,20 @@ def main() -> None:
         evaluate_policy(model, single, n_eval_episodes=EPISODES, warn=False)
 
     slow()
-    rate = EPISODES * env.steps / best(slow)
-    print(f"evaluate_policy, one environment: {rate:12,.0f} steps/s")
+    calls: dict[str, tuple[int, Callable[[], Any]]] = {
+        "evaluate_policy, one environment": (EPISODES, slow)
+    }
     for count in MANY:
         keys = unseen_keys(count)
-        score(env, network, keys)
-        fused = count * env.steps / best(lambda keys=keys: score(env, network, keys))
-        print(f"one scan, {count:5d} episodes:         {fused:12,.0f} steps/s, {fused / rate:.0f}x")
-    found = score(env, network, unseen_keys(MANY[0]))
-    print(f"median cost {np.median(found.cost):.4f} of {MANY[0]} episodes")
+        call = (count, lambda keys=keys: score(env, network, keys))
+        calls[f"one scan, {count} episodes"] = call
+    timings = measuring.interleaved({name: call for name, (_, call) in calls.items()}, repeats=3)
+    rate = {n: episodes * env.steps / timings[n].best_s for n, (episodes, _) in calls.items()}
+    first = next(iter(rate))
+    rows = [{"what": name, "steps_per_s": value} for name, value in rate.items()]
+    ratios = {f"{name}, over evaluate_policy": v / rate[first] for name, v in rate.items()}
+    del ratios[f"{first}, over evaluate_policy"]
+    measuring.save("evaluation", {"rows": rows}, ratios)
 
 
 if __name__ == "__main__":

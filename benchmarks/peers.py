@@ -172,13 +172,20 @@ def main() -> None:
         {
             "what": name,
             "setting": used[name],
-            "accurate": found[name] is not None,
+            "peak": _reached(method, found[name]),
             "drives": method.drives,
             "env_s_per_s": rate[name],
         }
         for name, method in every.items()
     ]
     measuring.save("peers", {"rows": rows}, _ratios(rate))
+
+
+def _reached(method: Method, setting: float | None) -> str:
+    """How right the setting is that was timed."""
+    if method.peak is None:
+        return "not asked"
+    return f"not to {ACCURACY:g}" if setting is None else f"to {ACCURACY:g}"
 
 
 def _ratios(rate: dict[str, float]) -> dict[str, float]:
