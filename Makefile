@@ -25,8 +25,8 @@ lint: .venv/.dev  ## Check style, format and types
 	$(BIN)/ruff format --check
 	$(BIN)/pyright
 
-bench: .venv/.bench  ## Measure throughput next to C and a plain numba loop
-	$(BIN)/python benchmarks/throughput.py
+bench: .venv/.bench  ## Measure speed next to C, numba, SciPy and diffrax; half an hour
+	$(BIN)/python benchmarks/suite.py
 
 docs: .venv/.docs  ## Build the documentation: runs its code blocks, the examples, both papers
 	@mkdir -p results/docs/examples
