@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from test_tuning import study
+from tuning_cases import study
 from typer.testing import CliRunner
 
 from jaxsim import tree
@@ -19,7 +18,7 @@ from jaxsim.errors import InputError
 from jaxsim.objective import Goal, Limit, Objective
 from jaxsim.provenance import write_toml
 from jaxsim.study import load
-from tuning import space
+from tuning import front_checkpoint, space
 from tuning.pareto import Tracer, pair_of, tracer_of
 from tuning.problem import Outcome
 from tuning.spec import read_spec
@@ -41,13 +40,11 @@ class Bowls:
         self.concave = concave
         self.drives = np.zeros((1, 0))
         self.calls = 0
-        self.spec: Any = SimpleNamespace(
-            count=1,
-            screen=1,
-            iterations=60,
-            tolerance=1e-7,
+        self.study = study()
+        self.spec = read_spec(self.study)._replace(
+            spreads=(), drives=np.zeros((1, 0)), screen=1, iterations=60, tolerance=1e-7,
             objective=Objective(PAIR, limits),
-        )
+        )  # fmt: skip
 
     def evaluate(self, points: np.ndarray, drives: np.ndarray) -> Outcome:
         self.calls += 1
@@ -108,6 +105,35 @@ def test_an_interrupt_keeps_the_front_known_by_then() -> None:
         assert not (values < v).all(axis=-1).any()
 
 
+def test_a_front_that_is_resumed_repeats_no_search_and_ends_as_it_would_have(
+    tmp_path: Path,
+) -> None:
+    file, told = tmp_path / "checkpoint.json", []
+    starts = np.array([[0.5, 0.5], [0.1, 0.9]])
+
+    def stop(progress: Any) -> None:
+        if progress.what == "points in the gaps" and progress.iteration == 2:
+            raise KeyboardInterrupt
+
+    broken = Tracer(Bowls(), PAIR, stop, file)  # type: ignore[arg-type]
+    broken.trace(starts, 9)
+    assert broken.interrupted
+    again = Tracer(Bowls(), PAIR, lambda p: told.append(p.what), file)  # type: ignore[arg-type]
+    front_checkpoint.read(again, 9, file)
+    known = len(again.seen)
+    assert known == len(broken.seen)
+    laws = np.array(again.trace(starts, 9))
+    assert list(dict.fromkeys(told)) == ["points in the gaps", "all points again"]
+    assert not again.interrupted
+    assert len(again.seen) > known
+    to_A, to_B = (np.linalg.norm(laws - c, axis=-1) for c in (A, B))
+    np.testing.assert_allclose(to_A + to_B, np.linalg.norm(A - B), atol=2e-3)
+    with pytest.raises(InputError, match="must belong to this front"):
+        front_checkpoint.read(again, 8, file)
+    with pytest.raises(InputError, match="needs a checkpoint"):
+        front_checkpoint.read(again, 9, tmp_path / "none.json")
+
+
 def test_goals_are_reduced_as_the_objective_does() -> None:
     objective = read_spec(study()).objective
     first, second = pair_of(objective, ("command_rms", "largest_torque_Nm"))
@@ -135,7 +161,7 @@ def test_command_writes_laws_that_none_beats_and_that_keep_the_limits(tmp_path: 
     assert (np.diff(both[:, 1]) > 0.0).all()
     assert both[:, 1].max() <= 1.5
     assert {p.name for p in out.iterdir()} == {
-        "front.csv", "front.json", "laws", "pareto.png", "report.html",
+        "front.csv", "front.json", "laws", "pareto.png", "report.html", "checkpoint.json",
     }  # fmt: skip
 
     # A law of the front, run singly on every drive: its number in the table.

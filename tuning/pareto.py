@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from jaxsim.errors import InputError
 from jaxsim.objective import Goal, Limit, Objective, check_name
 from jaxsim.study import Study
-from tuning import solver, space
+from tuning import front_checkpoint, solver, space
 from tuning.local import RESERVE, Local, localise
 from tuning.problem import Problem
 from tuning.scoring import Scores, everything, score
@@ -25,6 +26,7 @@ from tuning.session import noted_interrupts
 from tuning.solver import RUNNING, State
 from tuning.spec import Spec
 
+SCREEN, FULL = "screen", "full"
 # Of a front, unless told otherwise.
 POINTS = 12
 # At an end, the other goal counts by this share: a flat valley ends where that is best as well.
@@ -94,8 +96,10 @@ def pair_of(objective: Objective, names: tuple[str, str]) -> tuple[Goal, Goal]:
 class Tracer:
     """Searches for the front of a problem; the problem's objective must name both metrics.
 
-    limits: of the study; they hold at every point. drives: indices of those looked at now.
-    seen: the laws looked at on them.
+    limits: of the study; they hold at every point. every: indices of the drives that run.
+    drives: of those looked at now. seen: the laws looked at on them. left_out: index -> why, of
+    drives that fail under every start. stage, done: where it stands, and its searches that are
+    finished. file: where its state is kept after every iteration.
     """
 
     def __init__(
@@ -103,51 +107,60 @@ class Tracer:
         problem: Problem,
         pair: tuple[Goal, Goal],
         tell: Callable[[Progress], None],
+        file: Path | None = None,
     ) -> None:
-        self.problem, self.pair, self.tell = problem, pair, tell
+        self.problem, self.pair, self.tell, self.file = problem, pair, tell, file
         self.limits = problem.spec.objective.limits
-        self.drives = np.arange(problem.spec.count)
+        self.every = self.drives = np.arange(problem.spec.count)
+        self.starts = np.zeros((0, len(problem.spec.free)))
         self.seen: list[Seen] = []
         self.bounds: list[float] = []
-        self.interrupted = False
+        self.left_out: dict[int, str] = {}
+        self.stage, self.done = "", []
+        self.interrupted, self._points = False, POINTS
         self._pressed: list[int] = []
 
-    def leave_out(self, starts: np.ndarray) -> dict[int, str]:
-        """Leave out the drives that fail under every one of the starts: index -> why.
+    def _leave_out(self, starts: np.ndarray) -> None:
+        """Leave out the drives that fail under every one of the starts.
 
         Raises: InputError where no drive is left.
         """
         problem = self.problem
         status = problem.evaluate(starts, self.drives).status
         dead = np.asarray(status.any(axis=-1).all(axis=0))
-        why = {
+        self.left_out = {
             int(i): problem.trouble(int(i), int(status[0, k].max()))
             for k, i in enumerate(self.drives)
             if dead[k]
         }
         if dead.all():
-            told = "; ".join(f"{problem.label(i)}: {w}" for i, w in why.items())
+            told = "; ".join(f"{problem.label(i)}: {w}" for i, w in self.left_out.items())
             raise InputError(
                 "tune", "needs a drive that runs under one start", told, "other bounds or drives"
             )
-        self.drives = self.drives[~dead]
-        return why
+        self.every = self.drives = self.drives[~dead]
 
     def trace(self, starts: np.ndarray, points: int) -> list[np.ndarray]:
         """Laws on the unit cube for a front of so many points; at Ctrl-C those known by then.
 
         starts (n, P): all are tried on the few drives of the screen, then all drives are used.
+        What a checkpoint says is done is not done again.
         """
-        spec, everything, before = self.problem.spec, self.drives, self.seen
+        spec, before, self._points = self.problem.spec, self.seen, points
         try:
             with noted_interrupts() as self._pressed:
-                if spec.screen < spec.count:
-                    chosen = space.spanning(self.problem.drives[everything], spec.screen)
-                    self.drives = everything[chosen]
-                    self._stage(starts, points, spec.iterations // 2)
-                    starts = np.array([*self._chosen(2 * points), *starts[:2]])
-                    self.drives, self.seen, before = everything, [], self.seen
-                self._stage(starts, points, spec.iterations)
+                if not self.stage:
+                    self._leave_out(starts)
+                    self.stage = SCREEN if spec.screen < spec.count else FULL
+                    self.starts = starts
+                    chosen = space.spanning(self.problem.drives[self.every], spec.screen)
+                    self.drives = self.every[chosen] if self.stage == SCREEN else self.every
+                if self.stage == SCREEN:
+                    self._stage(points, spec.iterations // 2)
+                    self.starts = np.array([*self._chosen(2 * points), *self.starts[:2]])
+                    self.stage, self.drives, self.done = FULL, self.every, []
+                    self.seen, before = [], self.seen
+                self._stage(points, spec.iterations)
         except KeyboardInterrupt:
             self.interrupted = True
             self.seen = self.seen or before
@@ -155,14 +168,17 @@ class Tracer:
                 raise
         return self._chosen(points)
 
-    def _stage(self, starts: np.ndarray, points: int, most: int) -> None:
+    def _stage(self, points: int, most: int) -> None:
         """Ends; half of the points evenly, the others in the widest gaps; all once more."""
-        self._look([self._alone(0)] * len(starts), np.ones(len(starts)), starts)
+        starts = self.starts
+        if not self.seen:
+            self._look([self._alone(0)] * len(starts), np.ones(len(starts)), starts)
         if not self.seen:
             why = "a run fails under each of them"
             raise InputError("tune", "needs a start that can be evaluated", why, "other bounds")
-        ends = [(self._alone(k), z) for k in (0, 1) for z in self._best_alone(k, starts)]
-        self._solve("ends", *zip(*ends, strict=True), most=most)
+        if "ends" not in self.done:
+            ends = [(self._alone(k), z) for k in (0, 1) for z in self._best_alone(k, starts)]
+            self._solve("ends", *zip(*ends, strict=True), most=most)
         inner = max(points - 2, 1)
         for what, bounds in (
             ("points", partial(self._even, -(-inner // 2))),
@@ -170,6 +186,8 @@ class Tracer:
             # Laws that other searches have met may be better starts by now.
             ("all points again", partial(self._again, points)),
         ):
+            if what in self.done:
+                continue
             self.bounds = bounds()
             if self.bounds:
                 objectives = [self._under(b) for b in self.bounds]
@@ -277,11 +295,19 @@ class Tracer:
         tolerance = self.problem.spec.tolerance
         for iteration in range(most + 1):
             if all(s.status != RUNNING for s in states):
-                return
+                break
             states = solver.advance_each(states, look, tolerance, most)
+            self._keep()
             self.tell(Progress(what, iteration + 1, most, len(self._non_dominated())))
             if self._pressed:
                 raise KeyboardInterrupt
+
+        self.done.append(what)
+        self._keep()
+
+    def _keep(self) -> None:
+        if self.file is not None:
+            front_checkpoint.write(self, self._points, self.file)
 
     def _look(
         self, objectives: Sequence[Objective], units: np.ndarray, points: np.ndarray
@@ -325,19 +351,21 @@ def _places(values: np.ndarray) -> np.ndarray:
 
 
 def tracer_of(
-    study: Study, spec: Spec, pair: tuple[Goal, Goal], tell: Callable[[Progress], None]
+    study: Study,
+    spec: Spec,
+    pair: tuple[Goal, Goal],
+    tell: Callable[[Progress], None],
+    file: Path | None = None,
 ) -> Tracer:
     """A tracer that computes both goals and what the study's own limits need."""
     both = spec._replace(objective=Objective(pair, spec.objective.limits))
-    return Tracer(Problem(study, both), pair, tell)
+    return Tracer(Problem(study, both), pair, tell, file)
 
 
-def conclude(
-    tracer: Tracer, laws: list[np.ndarray], marks: dict[str, np.ndarray], left_out: dict[int, str]
-) -> Front:
+def conclude(tracer: Tracer, laws: list[np.ndarray], marks: dict[str, np.ndarray]) -> Front:
     """Score the laws (on the unit cube) and the marks (gains) afresh; keep what none beats."""
     problem, free = tracer.problem, tracer.problem.spec.free
-    drives = np.array([i for i in range(problem.spec.count) if i not in left_out])
+    drives = tracer.every
     gains = [*(space.to_gains(free, z) for z in laws), *marks.values()]
     scored = score(problem, gains, drives, problem.study.run.dt, everything(problem))
     points = [_point(tracer, g, s) for g, s in zip(gains, scored, strict=True)]
@@ -346,7 +374,7 @@ def conclude(
         if not kept or p.goals[0] < kept[-1].goals[0]:
             kept.append(p)
     named = dict(zip(marks, points[len(laws) :], strict=True))
-    return Front(tracer.pair, tuple(kept), named, drives, left_out, tracer.interrupted)
+    return Front(tracer.pair, tuple(kept), named, drives, tracer.left_out, tracer.interrupted)
 
 
 def _point(tracer: Tracer, gains: np.ndarray, scores: Scores) -> Point:

@@ -20,8 +20,12 @@ def command(
     tuned: Annotated[
         str | None, typer.Option(help="law.toml of `gearlash tune`: a start, and marked.")
     ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
 ) -> None:
-    """Trace the front between two goals as one batch, under the study's limits."""
+    """Trace the front between two goals as one batch, under the study's limits.
+
+    Ctrl-C keeps the laws found by then and writes their front (exit 130); --resume goes on.
+    """
     import jaxsim
 
     jaxsim.configure()
@@ -41,16 +45,16 @@ def command(
         marks["tuned"] = space.gains_of(load(study, law=tuned).law, spec.free)
     console = Console()
     try:
-        front = traced(what, spec, pair, marks, points or pareto.POINTS, console)
+        front = traced(what, spec, pair, marks, points or pareto.POINTS, out, console, resume)
     except KeyboardInterrupt:
-        console.print("Interrupted before there was a law to keep.")
+        console.print("Interrupted before there was a law to keep; --resume writes what there is.")
         raise typer.Exit(130) from None
     files = pareto_report.write(what, spec, front, out)
     console.print(pareto_report.table(spec, front))
     first, *rest = pareto_report.sentences(spec, front)
     console.print(first, style="bold green" if front.points else "bold red")
     for line in rest:
-        console.print(line)
+        console.print(line, markup=False)
     console.print(f"Wrote {', '.join(files)}: {out}")
     if front.interrupted:
         raise typer.Exit(130)
@@ -58,12 +62,15 @@ def command(
         raise typer.Exit(1)
 
 
-def traced(what: Any, spec: Any, pair: Any, marks: Any, points: int, console: Any) -> Any:
-    """The front, under a progress line."""
+def traced(
+    what: Any, spec: Any, pair: Any, marks: Any, points: int, out: Path, console: Any,
+    resume: bool = False,
+) -> Any:  # fmt: skip
+    """The front, under a progress line; its state is kept in the folder."""
     import numpy as np
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from tuning import pareto, space
+    from tuning import front_checkpoint, pareto, space
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console) as bar:
@@ -73,10 +80,12 @@ def traced(what: Any, spec: Any, pair: Any, marks: Any, points: int, console: An
             state = f"{p.what}: iteration {p.iteration} of at most {p.most}"
             bar.update(task, description=f"{state}, {p.found} laws that none beats")
 
-        tracer = pareto.tracer_of(what, spec, pair, tell)
+        file = out / "checkpoint.json"
+        tracer = pareto.tracer_of(what, spec, pair, tell, file)
+        if resume:
+            front_checkpoint.read(tracer, points, file)
         given = space.to_unit(spec.free, np.array(list(marks.values())))
         starts = np.concatenate([given, space.starting_points(what.law, spec)[1:]])
-        left_out = tracer.leave_out(starts)
         laws = tracer.trace(starts, points)
         bar.update(task, description="scoring afresh on the exact model")
-        return pareto.conclude(tracer, laws, marks, left_out)
+        return pareto.conclude(tracer, laws, marks)

@@ -128,7 +128,10 @@ class Beside:
         from tuning.commands.pareto import traced
 
         marks = {"study": result.initial, "tuned": result.gains}
-        found = traced(self.study, self.spec, self.pair, marks, pareto.POINTS, console)
+        (out / "front").mkdir(exist_ok=True)
+        found = traced(
+            self.study, self.spec, self.pair, marks, pareto.POINTS, out / "front", console
+        )
         pareto_report.write(self.study, self.spec, found, out / "front")
         for line in pareto_report.sentences(self.spec, found):
             console.print(line)
@@ -203,7 +206,7 @@ def _conclude(session: Any, out: Path, console: Any) -> Any:
     first, *rest = sentences(session, result)
     console.print(first, style=style)
     for line in rest:
-        console.print(line)
+        console.print(line, markup=False)
     with console.status("Drawing ..."):
         figures.draw(session, result, out)
         page.write(session, result, out)
