@@ -142,8 +142,9 @@ def _read_torch(path: Path) -> Any:
     except FileNotFoundError:
         raise InputError(str(path), "must be a file", "nothing there", "check the path") from None
     except Exception as error:  # torch raises what the damaged byte led to
-        rule, words = "must be a complete file of weights", str(error).splitlines()[0]
-        raise InputError(str(path), rule, words, "train anew, or bring it back") from None
+        rule, words = "must be a complete file of weights", str(error).partition("\n")[0]
+        found = f"a damaged one ({words})"
+        raise InputError(str(path), rule, found, "train anew, or bring it back") from None
 
 
 def network_of(model: Any, venv: VecNormalize | None) -> Network:

@@ -118,6 +118,9 @@ def write_checkpoint(folder: Path, trainer: Trainer, rows: Sequence[Row]) -> Non
 
 def read_checkpoint(folder: Path, trainer: Trainer) -> list[Row]:
     """Take a training up. Raises: InputError where there is none, or it is not whole."""
+    if not (folder / "state.json").exists():
+        found = f"none in {folder}: it ended before the first one"
+        raise InputError("--resume", "needs a checkpoint", found, "leave out --resume")
     state = read_json(folder / "state.json")
     rows = _rows_of(state, folder)
     trainer.load(folder / str(state.get("checkpoint")))

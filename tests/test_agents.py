@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -20,11 +21,12 @@ from envs.sb3 import BatchedVecEnv
 from envs.task import TASKS
 from jaxsim.errors import InputError
 from jaxsim.laws.policy import Layer, Network
-from rl import arrays, comparison, onnx_file, store
+from rl import arrays, comparison, nominal, onnx_file, store
 from rl.apg import APG
 from rl.comparison import Entry
 from rl.episodes import score, training_keys, unseen_keys, validation_keys
-from rl.networks import first_network
+from rl.networks import first_network, idle_network
+from rl.regret import alone, nominal_of, regret
 from rl.sb3 import SB3, network_of
 from rl.session import Session
 from rl.spec import read_spec
@@ -32,7 +34,8 @@ from rl.study import read_comparison, shipped
 
 TORCH = 1e-5  # an action of a few float32 layers
 SMALL: dict[str, dict[str, Any]] = {
-    "apg": {"iterations": 4, "validate_every": 2, "batch": 4, "hidden": [8], "validation": 4},
+    "apg": {"iterations": 4, "validate_every": 2, "batch": 4, "hidden": [8], "validation": 4}
+    | {"regret": 1.0, "margin": 0.1, "nominal": 0.5},
     "ppo": {"steps": 960, "segment": 480, "envs": 8, "algorithm.n_steps": 30, "hidden": [8]}
     | {"algorithm.batch_size": 120, "algorithm.n_epochs": 2, "validation": 4},
     "sac": {"steps": 960, "segment": 480, "envs": 8, "hidden": [8], "validation": 4}
@@ -81,7 +84,8 @@ def _the_right_way() -> Network:
 @pytest.mark.parametrize(
     ("algo", "changes"),
     [
-        ("apg", {"iterations": 80, "validate_every": 40, "rate": 1e-2, "batch": 16}),
+        ("apg", {"iterations": 80, "validate_every": 40, "rate": 1e-2, "batch": 16, "regret": 0.0}
+         | {"nominal": 0.0}),
         ("ppo", {"steps": 96_000, "segment": 48_000, "envs": 32, "hidden": [32]}
          | {"algorithm.n_steps": 60, "algorithm.batch_size": 480, "algorithm.n_epochs": 10}
          | {"algorithm.learning_rate": 3e-3, "algorithm.gamma": 0.95, "algorithm.gae_lambda": 0.9}
@@ -262,6 +266,49 @@ def test_shipped_comparisons_are_read_and_wrong_ones_named(tmp_path: Path) -> No
         read_comparison(str(tmp_path / "mixed.toml"))
     with pytest.raises(InputError, match="position_quick"):
         read_comparison("position_quik")
+
+
+def test_regret_counts_what_is_worse_than_the_law_alone() -> None:
+    task = TASKS.find("backlash_position_residual")()
+    names = list(task.terms)
+    own = dict.fromkeys(names, 2.0)
+    better = regret(task, dict.fromkeys(names, 1.79), own, 0.1)
+    assert float(better) == 0.0
+    worse = dict.fromkeys(names, 1.0) | {names[2]: 2.0}
+    want = 0.2 / task.terms[names[2]] / len(names)
+    assert float(regret(task, worse, own, 0.1)) == pytest.approx(want)
+
+
+def test_the_law_alone_is_what_an_idle_network_gives() -> None:
+    env = build(PUSH)
+    keys = unseen_keys(2)
+    scores = score(env, idle_network(env), keys)
+    found = jax.jit(jax.vmap(lambda key: alone(env, env.reset(key)[0])))(keys)
+    np.testing.assert_allclose(found["iae_rad_s"], scores.numbers["iae_rad_s"], rtol=1e-6)
+    named = score(nominal_of(env), idle_network(env), keys)
+    assert named.cost[0] == named.cost[1] != scores.cost[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "fine"),
+    [
+        ({}, True),
+        ({"braking_peak_Nm": -1.0}, True),
+        ({"braking_peak_Nm": -1.3}, False),
+        ({"settle_2pct_s": np.inf}, False),
+    ],
+)
+def test_no_worse_means_in_every_metric(change: dict[str, float], fine: bool) -> None:
+    rival: Any = SimpleNamespace(metrics=dict.fromkeys(nominal.JUDGED["rad"], 2.0))
+    rival.metrics["braking_peak_Nm"] = -1.2
+    found: Any = SimpleNamespace(metrics=rival.metrics | change)
+    assert nominal.no_worse(found, rival, "rad") is fine
+
+
+def test_a_training_that_ended_before_its_first_checkpoint_says_so(tmp_path: Path) -> None:
+    store.write_spec(tmp_path, _spec("apg"))
+    with pytest.raises(InputError, match="it ended before the first one"):
+        store.read_checkpoint(tmp_path, APG(_spec("apg")))
 
 
 def _entry(name: str, cost: np.ndarray, learned: bool) -> Entry:
