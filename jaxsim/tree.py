@@ -10,6 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxsim.errors import InputError
 from jaxsim.parameters import all_parameters
@@ -68,10 +69,15 @@ def replace(tree: Any, values: Mapping[str, Any]) -> Any:
 
 def cast(tree: Any, dtype: Any) -> Any:
     """All inexact leaves of a tree in one dtype."""
-    return jax.tree.map(
-        lambda v: jnp.asarray(v, dtype) if jnp.issubdtype(jnp.asarray(v).dtype, jnp.inexact) else v,
-        tree,
-    )
+    return jax.tree.map(lambda v: _cast(v, dtype), tree)
+
+
+def _cast(v: Any, dtype: Any) -> Any:
+    # Numbers go to NumPy: a device array of each costs more than a run of a single drive.
+    if isinstance(v, (float, np.ndarray, np.generic)):
+        v = np.asarray(v)
+        return v.astype(dtype) if np.issubdtype(v.dtype, np.inexact) else v
+    return jnp.asarray(v, dtype) if jnp.issubdtype(jnp.asarray(v).dtype, jnp.inexact) else v
 
 
 def _steps(tree: Any, path: str) -> list[str | int]:
