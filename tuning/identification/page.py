@@ -100,7 +100,10 @@ def _search(outcome: Outcome) -> Table:
         (int(i), float(fits.loss[i]), bool(fits.converged[i]), int(fits.iterations[i]))
         for i in order
     ]
-    caption = "Starts, best first; start 0 is the study itself, the others a Latin hypercube"
+    caption = (
+        "Starts, best first; start 0 is the study itself, start 1 a regression of the readings "
+        "where they allow one, the others a Latin hypercube"
+    )
     return Table(caption, ("start", "loss", "converged", "iterations"), table)
 
 

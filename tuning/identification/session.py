@@ -17,6 +17,7 @@ from tuning.identification import uncertainty
 from tuning.identification.estimator import STAGES, Fit, Fits, Progress, Stage, fit
 from tuning.identification.experiment import Model, model_of
 from tuning.identification.mapping import Recorded, check_loops, experiments
+from tuning.identification.regression import regressed
 from tuning.identification.residuals import Evaluation, Problem
 from tuning.identification.spec import Spec, read_free
 from tuning.identification.uncertainty import Covariance, Profile
@@ -212,7 +213,7 @@ class _Work:
         return fits
 
     def _starts(self, initial: np.ndarray) -> np.ndarray:
-        """The study's own values, then a Latin hypercube over the bounds of what is shared."""
+        """The study's own values, a regression's, a Latin hypercube over the shared bounds."""
         unknowns, count = self.problem.unknowns, self.spec.search.starts
         starts = np.tile(initial, (count, 1))
         shared = np.array([not f.own for f in unknowns.free])[unknowns.of]
@@ -221,7 +222,19 @@ class _Work:
             cube = np.zeros((count - 1, len(initial)))
             cube[:, shared] = np.pi * (sampler.random(count - 1) - 0.5)
             starts[1:] = np.where(shared, unknowns.to_values(cube), starts[1:])
+            self._regress(starts[1], initial)
         return starts
+
+    def _regress(self, start: np.ndarray, initial: np.ndarray) -> None:
+        """Write what a plain regression of the readings gives into a start, if anything."""
+        found = regressed(self.problem, self.train)
+        if not found:
+            return
+        start[:] = initial
+        for name, value in found.items():
+            start[self.problem.unknowns.names.index(name)] = value
+        told = ", ".join(f"{name} = {value:.4g}" for name, value in found.items())
+        self.remarks.append(f"Start 1 is what a plain regression of the readings gives: {told}.")
 
     def _refit(
         self, values: np.ndarray, what: str, who: np.ndarray, frozen: Any = None,
