@@ -101,7 +101,7 @@ def map_members(function: Callable[..., Any], *trees: Any) -> Any:
     own, shared, one = _separated(function, trees)
     chunk = jax.vmap(one, in_axes=(0, None))
     size = size_of(*trees) or 0
-    if size == 1 or not native_loops():
+    if size == 1 or not native_loops() or jax.default_backend() != "cpu":
         return chunk(own, shared)
     layout = _layout(size, _cores())
     rows = np.minimum(np.arange(layout.padded), size - 1).reshape(-1, layout.width)
