@@ -35,13 +35,26 @@ class Exit(NamedTuple):
     surface: Scalar
     share: Scalar
 
+    @staticmethod
+    def none(like: Scalar) -> Exit:
+        return Exit(jnp.asarray(False), jnp.asarray(-1, jnp.int32), jnp.ones_like(like))
+
 
 class Landing(NamedTuple):
-    """Whether the trial hit its target surface, the Newton correction, and the time left to it."""
+    """Whether the trial hit its target surface, the Newton correction, and the time left to it.
+
+    rate: of that surface's guard at the end, per second.
+    """
 
     landed: Scalar
     correction: Scalar
     ahead: Scalar
+    rate: Scalar
+
+    @staticmethod
+    def none(like: Scalar) -> Landing:
+        zero = jnp.zeros_like(like)
+        return Landing(jnp.asarray(False), zero, zero + jnp.inf, zero)
 
 
 def along(when: When, rates: State) -> tuple[When, State]:
@@ -130,7 +143,8 @@ def landing(
     The derivative of delta is that of the event time. rest: time left that a landing may take.
     """
     g = pick(end.values, target, jnp.zeros_like(h))
-    slope = jax.lax.stop_gradient(pick(end.rates, target, jnp.zeros_like(h)))
+    rate = pick(end.rates, target, jnp.zeros_like(h))
+    slope = jax.lax.stop_gradient(rate)
     known = jnp.abs(slope) > 0.0
     delta = jnp.where(known, -g / jnp.where(known, slope, 1.0), 0.0)
     aimed = target >= 0
@@ -146,7 +160,23 @@ def landing(
     bounded = jnp.clip(jax.lax.stop_gradient(delta), -h, _LANDED * dt)
     correction = jnp.where(landed & close, delta + jax.lax.stop_gradient(bounded - delta), 0.0)
     ahead = jax.lax.stop_gradient(jnp.where(aimed & (delta > 0.0), delta, jnp.inf))
-    return Landing(landed, correction, ahead)
+    return Landing(landed, correction, ahead, rate)
+
+
+def may_leave(
+    surfaces: tuple[Surface, ...], modes: tuple[Scalar, ...], start: Guards, end: Guards, h: Scalar
+) -> Scalar:
+    """Whether `earliest_exit` has to look: a cubic stays above the least of its control points.
+
+    By half the tolerance, so that rounding makes no difference to what is found.
+    """
+    may = jnp.asarray(False)
+    rows = zip(surfaces, modes, *start, *end, strict=True)
+    for surface, mode, g0, r0, g1, r1 in rows:
+        segment = hermite.Segment(g0, r0, g1, r1, h)
+        points = (mode * v for v in (g0, g1, *segment.controls()))
+        may = may | (functools.reduce(jnp.minimum, points) < -0.5 * surface.tolerance(h.dtype))
+    return may
 
 
 class _Candidate(NamedTuple):
@@ -168,7 +198,7 @@ def earliest_exit(
     The share is polished for the surface chosen only: a wrong choice among several shows on the
     landing trial, which is then rejected in turn. Not differentiable.
     """
-    best, chosen = Exit(jnp.asarray(False), jnp.asarray(-1, jnp.int32), jnp.ones_like(h)), None
+    best, chosen = Exit.none(h), None
     rows = zip(loop.surfaces, modes, *start, *end, strict=True)
     for i, (surface, mode, g0, r0, g1, r1) in enumerate(rows):
         cubic = hermite.Segment(*jax.lax.stop_gradient((g0, r0, g1, r1, h))).cubic().scaled(mode)

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxsim import events, integrate
-from jaxsim.events import Exit, Landing, choose
-from jaxsim.hermite import Cubic, Segment
+from jaxsim.events import Exit, Guards, Landing, choose
+from jaxsim.hermite import Cubic, Segment, any_member
 from jaxsim.loop import ClosedLoop, Outputs, State, When
 from jaxsim.status import Status
 
@@ -133,20 +133,30 @@ class _Verdict(NamedTuple):
     failed: Scalar  # not finite
     landing: Landing
     exit: Exit
-    slopes: tuple[Scalar, ...]  # rates of the guards at the end
 
 
 def _judge(loop: ClosedLoop, c: Carry, trial: _Trial, rest: Scalar, active: Scalar) -> _Verdict:
-    start = events.guards(loop, trial.when, c.x, trial.modes, c.held, trial.rates)
-    end = events.guards(loop, trial.end, trial.x, trial.modes, c.held, trial.end_rates)
-    landing = events.landing(loop.surfaces, c.target, end, trial.h, rest, loop.dt)
-    ignored = jnp.where(landing.landed, c.target, -1)
-    exit_ = events.earliest_exit(loop, trial.modes, start, end, trial.h, ignored)
+    def seen() -> tuple[Guards, Guards]:
+        start = events.guards(loop, trial.when, c.x, trial.modes, c.held, trial.rates)
+        end = events.guards(loop, trial.end, trial.x, trial.modes, c.held, trial.end_rates)
+        return start, end
+
+    def found() -> tuple[Landing, Exit]:
+        # Evaluated again: what a branch takes from outside is written to memory in every step.
+        start, end = seen()
+        landing = events.landing(loop.surfaces, c.target, end, trial.h, rest, loop.dt)
+        ignored = jnp.where(landing.landed, c.target, -1)
+        return landing, events.earliest_exit(loop, trial.modes, start, end, trial.h, ignored)
+
+    attention = events.may_leave(loop.surfaces, trial.modes, *seen(), trial.h) | (c.target >= 0)
+    landing, exit_ = jax.lax.cond(
+        any_member(attention), found, lambda: (Landing.none(trial.h), Exit.none(trial.h))
+    )
     finite = _finite(trial.x)
     accept = active & finite & ~exit_.any
     reject = active & finite & exit_.any
     landed = accept & landing.landed
-    return _Verdict(accept, reject, landed, active & ~finite, landing, exit_, end.rates)
+    return _Verdict(accept, reject, landed, active & ~finite, landing, exit_)
 
 
 def micro_step(
@@ -178,9 +188,8 @@ def _open_step(
         new = sound(c, new)  # the angles before the failure tell its cause
     if not stored:
         return new, None
-    rates = tuple(jnp.zeros_like(t) for _ in loop.surfaces)
     fine = new.status == Status.OK.value
-    return new, _mark(loop, new, jnp.full_like(c.tick, -1), ticked & fine, rates)
+    return new, _mark(loop, new, jnp.full_like(c.tick, -1), jnp.zeros_like(t), ticked & fine)
 
 
 def sound(c: Carry, new: Carry) -> Carry:
@@ -215,7 +224,8 @@ def _located_step(
     new = _aimed(c, new, aim, verdict, active)
     if not stored:
         return new, None
-    return new, _mark(loop, new, jnp.where(verdict.landed, c.target, -1), ticked, verdict.slopes)
+    event = jnp.where(verdict.landed, c.target, -1)
+    return new, _mark(loop, new, event, verdict.landing.rate, ticked)
 
 
 def _aim(loop: ClosedLoop, c: Carry, t: Scalar) -> _Aim:
@@ -302,12 +312,10 @@ def _fold(loop: ClosedLoop, metrics: Any, c: Carry, trial: _Trial, x: State, len
     )
 
 
-def _mark(
-    loop: ClosedLoop, c: Carry, event: Scalar, ticked: Scalar, slopes: tuple[Scalar, ...]
-) -> Mark:
+def _mark(loop: ClosedLoop, c: Carry, event: Scalar, slope: Scalar, ticked: Scalar) -> Mark:
     t = now(loop, c)
     outputs = loop.outputs(When(t, t + 1e-6 * loop.dt), c.x, c.modes, c.held)
-    return Mark(t, ticked, event, events.pick(slopes, event, jnp.zeros_like(t)), outputs)
+    return Mark(t, ticked, event, jnp.where(event >= 0, slope, 0.0), outputs)
 
 
 __all__ = ["Carry", "Mark", "Piece", "micro_step", "now", "sound"]
