@@ -15,12 +15,13 @@ from jaxsim._simulate import simulate
 from jaxsim.command import app
 from jaxsim.commands.new import commented
 from jaxsim.errors import InputError
+from jaxsim.objective import Goal, Limit, Objective
 from jaxsim.provenance import write_toml
 from jaxsim.study import Study, from_table, load
 from tuning import space
 from tuning.local import RESERVE, localise
 from tuning.problem import Outcome, Problem
-from tuning.scoring import score
+from tuning.scoring import Scores, score
 from tuning.spec import read_spec
 
 
@@ -106,3 +107,16 @@ def test_one_scenario_is_simulated_and_all_are_written_anew(tmp_path: Path) -> N
     write_toml(file, what.table)
     done = CliRunner().invoke(app, ["simulate", str(file), "--scenario", "bri"])
     assert "did you mean brief" in done.output
+
+
+def test_the_worst_of_what_must_be_large_is_its_smallest_value() -> None:
+    objective = Objective(
+        (Goal("a", 1.0, "mean"),), (Limit("b", 6.0, "worst", least=True), Limit("a", 9.0, "worst"))
+    )
+    values = np.array([[[1.0, -7.0], [2.0, 3.0]], [[4.0, 5.0], [-9.0, 0.5]]])
+    scores = Scores(dict.fromkeys(("a", "b", "c"), values), np.zeros((2, 2), int))
+    assert scores.worst("a", objective) == (5.0, 1, 0)
+    assert scores.worst("b", objective) == (-9.0, 1, 1)
+    assert scores.worst("c", objective) == (-9.0, 1, 1)  # no direction is known: by size
+    assert scores.of_case("a", 0, 0, objective) == 1.0
+    assert scores.of_case("b", 0, 1, objective) == 2.0

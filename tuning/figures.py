@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxsim import batch, plots
 from jaxsim._simulate import simulate
+from jaxsim.objective import Objective
 from tuning import space
 from tuning.certificate import Case
 from tuning.result import Result
@@ -33,7 +34,9 @@ def draw(session: Session, result: Result, out: Path) -> None:
 def _responses(session: Session, result: Result, path: Path) -> None:
     """Time responses as the study is and in the worst case, before and after."""
     shape = (len(_SIGNALS), len(result.cases))
-    with plots.figure(path, *shape, sharex="col", sharey="row", squeeze=False) as axes:
+    alike = len({case.scenario for case in result.cases}) == 1
+    options = {"sharex": "col", "sharey": "row" if alike else False, "squeeze": False}
+    with plots.figure(path, *shape, **options) as axes:
         for column, case in enumerate(result.cases):
             run = _both(session, result, *case)
             time = 1e3 * np.asarray(run.time[0])
@@ -47,7 +50,7 @@ def _responses(session: Session, result: Result, path: Path) -> None:
             axes[0, column].set_title(_heading(session.problem.label(*case)))
             axes[-1, column].set_xlabel("time [ms]")
         _draw_bounds(session, axes)
-        axes[0, 0].legend(loc="lower right")
+        axes[_SIGNALS.index(_follows(session)), 0].legend(loc="lower right")
 
 
 def _first(run: Any, name: str, member: int) -> np.ndarray:
@@ -58,9 +61,13 @@ def _first(run: Any, name: str, member: int) -> np.ndarray:
 
 def _draw_reference(session: Session, column: Any, run: Any, time: np.ndarray) -> None:
     """The reference, under the signal that follows it."""
-    follows = "T_s" if session.study.law.reference_unit == "Nm" else "theta_L"
-    ax, colour = column[_SIGNALS.index(follows)], plots.COLOURS["reference"]
+    ax, colour = column[_SIGNALS.index(_follows(session))], plots.COLOURS["reference"]
     ax.plot(time, _first(run, "reference", 0), color=colour, lw=0.9, ls=":", label="reference")
+
+
+def _follows(session: Session) -> str:
+    """The signal that follows the reference."""
+    return "T_s" if session.study.law.reference_unit == "Nm" else "theta_L"
 
 
 def _both(session: Session, result: Result, index: int, scenario: int) -> Any:
@@ -96,15 +103,19 @@ def _draw_bounds(session: Session, axes: Any) -> None:
 
 
 def _spread(session: Session, result: Result, path: Path) -> None:
-    """Share of the drives below a value, per metric of the objective: before and after."""
-    names = session.problem.metrics
-    bounds = {x.metric: x.bound for x in session.spec.objective.limits}
-    with plots.figure(
-        path, 1, len(names), squeeze=False, size=(3.6 * len(names) + 0.8, 3.4)
-    ) as axes:
-        for ax, name in zip(axes[0], names, strict=True):
+    """Share of the runs below a value, per metric of the objective: before and after."""
+    names, objective = session.problem.metrics, session.spec.objective
+    bounds = {x.metric: x.bound for x in objective.limits}
+    columns = 2 if len(names) in (2, 4) else min(len(names), 3)
+    rows = -(-len(names) // columns)
+    size = (3.8 * columns + 0.8, 3.0 * rows + 0.6)
+    with plots.figure(path, rows, columns, squeeze=False, size=size) as axes:
+        panels = list(axes.ravel())
+        for ax in panels[len(names) :]:
+            ax.set_axis_off()
+        for ax, name in zip(panels, names, strict=False):
             for when, scores in zip(_WHEN, (result.before, result.after), strict=True):
-                _draw_shares(ax, scores, name, when)
+                _draw_shares(ax, scores, objective, name, when)
             if name in bounds:
                 colour = plots.COLOURS["limit"]
                 ax.axvline(bounds[name], color=colour, ls="--", lw=1.2, label="limit")
@@ -112,20 +123,29 @@ def _spread(session: Session, result: Result, path: Path) -> None:
             ax.locator_params(axis="x", nbins=5)
             ax.ticklabel_format(axis="x", scilimits=(-2, 4))
             ax.margins(x=0.08)
-        axes[0, 0].set_title("triangle: mean, dot: worst")
-        axes[0, 0].set_ylabel(f"share of {result.after.status.size} runs below")
-        axes[0, -1].legend(loc="lower right")
+        for ax in axes[:, 0]:
+            ax.set_ylabel(f"share of {result.after.status.size} runs below")
+        keys = {label: line for ax in panels for line, label in zip(*_legend(ax), strict=True)}
+        place = {"loc": "outside lower center", "ncols": len(keys)}
+        panels[0].figure.legend(keys.values(), keys.keys(), **place)
 
 
-def _draw_shares(ax: Any, scores: Scores, name: str, when: str) -> None:
+def _legend(ax: Any) -> tuple[list[Any], list[str]]:
+    return ax.get_legend_handles_labels()
+
+
+def _draw_shares(ax: Any, scores: Scores, objective: Objective, name: str, when: str) -> None:
     values = np.sort(scores.values[name].reshape(-1))
     values = values[np.isfinite(values)]
     if len(values):
         shares = np.arange(1, len(values) + 1) / len(values)
         colour = plots.COLOURS[when]
         ax.step(values, shares, where="post", color=colour, label=when)
-        ax.plot(values[-1], 1.0, "o", color=colour, ms=4)
-        ax.plot([values.mean()], [0.0], "^", color=colour, ms=7, clip_on=False)
+        more = objective.sign(name) == 1.0
+        worst = (values[-1], 1.0) if more else (values[0], shares[0])
+        ax.plot(*worst, "o", color=colour, ms=5, ls="none", label=f"worst {when}")
+        mean = {"color": colour, "ms": 7, "clip_on": False, "ls": "none"}
+        ax.plot([values.mean()], [0.0], "^", label=f"mean {when}", **mean)
 
 
 def _convergence(session: Session, path: Path) -> None:
@@ -180,7 +200,7 @@ def _draw_stage(ax: Any, rows: list[dict[str, Any]], scale: float) -> None:
 def _sensitivities(session: Session, result: Result, path: Path) -> None:
     """Per cent of each metric of the objective per per cent of each gain, case by case."""
     names = [f.name for f in session.spec.free]
-    size = (4.6 * len(result.cases) + 1.0, 0.9 + 0.33 * len(names) * len(session.problem.metrics))
+    size = (4.6 * len(result.cases) + 1.0, 1.0 + 0.2 * len(names) * len(session.problem.metrics))
     options = {"squeeze": False, "sharey": True, "size": size}
     with plots.figure(path, 1, len(result.cases), **options) as axes:
         for ax, case in zip(axes[0], result.cases, strict=True):

@@ -81,7 +81,7 @@ def _goals(session: Session, result: Result) -> Table:
     """Before and after, metrics of the objective only."""
     table = lines(session, result)
     rows = [
-        [name, unit_of(name), when, *line]
+        [name, unit_of(name).replace(" ", "\N{NO-BREAK SPACE}"), when, *line]
         for name in session.problem.metrics
         for when, line in zip(("before", "after"), table[name], strict=True)
     ]

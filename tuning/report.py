@@ -60,10 +60,11 @@ def lines(session: Session, result: Result) -> dict[str, tuple[Line, Line]]:
 
 
 def _line(session: Session, result: Result, scores: Scores, name: str) -> Line:
-    worst, row, scenario = scores.worst(name, session.spec.objective)
+    objective = session.spec.objective
+    worst, row, scenario = scores.worst(name, objective)
     values = scores.values[name]
     mean = float(np.mean(values)) if np.isfinite(values).all() else np.nan
-    nominal = float(np.max(values[0, 0])) if result.drives[0] == 0 else np.nan
+    nominal = scores.of_case(name, 0, 0, objective) if result.drives[0] == 0 else np.nan
     return Line(nominal, mean, worst, session.problem.label(int(result.drives[row]), scenario))
 
 
@@ -189,7 +190,7 @@ def _drives(session: Session, result: Result) -> tuple[list[str], list[list[Any]
     rows = []
     for (k, index), (c, name) in product(enumerate(result.drives.tolist()), enumerate(scenarios)):
         numbers = [
-            float(scores.values[m][k, c].max())
+            scores.of_case(m, k, c, session.spec.objective)
             for m in metrics
             for scores in (result.before, result.after)
         ]

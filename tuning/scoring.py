@@ -41,6 +41,11 @@ class Scores(NamedTuple):
         row, scenario, axis = np.unravel_index(int(np.argmax(badness)), badness.shape)
         return float(values[row, scenario, axis]), int(row), int(scenario)
 
+    def of_case(self, metric: str, row: int, scenario: int, objective: Objective) -> float:
+        """The value of a drive (by row) in a scenario; of several axes the worst."""
+        own = Scores({metric: self.values[metric][[row], scenario][:, None]}, self.status)
+        return own.worst(metric, objective)[0]
+
     def cost(self, objective: Objective) -> float:
         """The weighted sum of the goals."""
         return sum(g.weight * self.aimed(g) for g in objective.goals)
