@@ -103,6 +103,11 @@ class Session:
                 raise  # nothing to keep
             self.interrupted = True
 
+    @property
+    def final(self) -> bool:
+        """Whether the stage on all drives has begun."""
+        return self.stage == FULL
+
     def best(self) -> State:
         """The best law met in this stage: by violation, then cost."""
         return min(self.states, key=lambda s: s.rank)
