@@ -40,7 +40,7 @@ NOISE = 5e-3  # rad: what the model leaves, not the encoder (0.4 mrad)
 ROOM = Exact(max_events=500)
 AMPLE = Exact(max_events=3000)  # for values alone, where room that is not needed costs nothing
 LOSS = Huber(4.0)
-GAPS = 1e-3 * np.array([2.0, 4.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 15.0])  # rad, of the profile
+GAPS = 1e-3 * np.array([3.0, 5.0, 6.5, 8.0, 9.5, 11.0, 13.0])  # rad, of the profile
 SUPPLY = 12.0  # V; the log has 11.8 to 12.1
 
 # name: start, lower, upper (SI); a part of the model that is left out stands at its last number.
@@ -137,12 +137,12 @@ class Runs:
         return np.where(self.used[which], np.abs(np.array(simulated) - self.q[which]), np.nan)
 
 
-def problem_of(runs: Runs, start: dict[str, float], fixed: Any = (), width: int = 1) -> Problem:
+def problem_of(runs: Runs, start: dict[str, float], fixed: Any = ()) -> Problem:
     """The training runs with every unknown free that is not fixed."""
     experiments = [runs.experiment(i, start) for i in runs.train]
     names = [n for n in UNKNOWNS if n not in fixed]
     one = [free(experiments[0], n, *UNKNOWNS[n][1:]) for n in names]
-    return Problem(experiments, one, dt=DT, width=width)
+    return Problem(experiments, one, dt=DT)
 
 
 def identify(runs: Runs, start: dict[str, float], fixed: Any = (), most: int = 25) -> dict:
@@ -188,14 +188,14 @@ def gap_interval(runs: Runs, best: dict[str, float]) -> dict[str, Any]:
     alone would take the 600 samples of a run for 600 witnesses, and runs with hundreds of stops
     have derivatives that no step of the parameters follows.
     """
-    problem = problem_of(runs, best, width=len(GAPS))
+    problem = problem_of(runs, best)
     column = problem.unknowns.names.index("half_gap")
     starts = np.tile([best[n] for n in problem.unknowns.names], (len(GAPS), 1))
     starts[:, column] = GAPS
     frozen = np.zeros(starts.shape, bool)
     frozen[:, column] = True
     found = fit(
-        problem, starts, stages=(Stage(ROOM),), loss=LOSS, frozen=frozen, iterations=8,
+        problem, starts, stages=(Stage(ROOM),), loss=LOSS, frozen=frozen, iterations=6,
         tolerance=3e-4, tell=lambda p: print(f"  profile {p.iteration}: {p.loss:.6g}", flush=True),
     )  # fmt: skip
     left = problem.evaluate(found.values, deadzone=ROOM).residuals
@@ -230,9 +230,10 @@ def main() -> None:
         start |= result["parameters"]
     best = start if options.keep else identify(runs, start)
     result["parameters"] = best
-    for name, which in (("train", runs.train), ("test", runs.test)):
-        result[name] = summary(runs, which, best)
-        print(f"{name}, {len(which)} runs, mean absolute error in mrad:", result[name])
+    if not options.keep:
+        for name, which in (("train", runs.train), ("test", runs.test)):
+            result[name] = summary(runs, which, best)
+            print(f"{name}, {len(which)} runs, mean absolute error in mrad:", result[name])
     for part in options.parts or ():
         found = result[f"without {part}"] = without(runs, best, part)
         print(
@@ -251,7 +252,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--parts", nargs="+", choices=list(PARTS), help="what each part is worth")
     parser.add_argument("--gap", action="store_true", help="the half gap's profile and interval")
     parser.add_argument("--start", type=Path, help="a result to start from")
-    parser.add_argument("--keep", action="store_true", help="take its parameters as they are")
+    parser.add_argument("--keep", action="store_true", help="take it as it is: no fit, no test")
     parser.add_argument("--out", type=Path, help="where to write the result")
     return parser.parse_args()
 
