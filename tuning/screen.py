@@ -41,7 +41,7 @@ def _metrics_table(session: Session, result: Result) -> Any:
     count = len(session.problem.scenarios)
     where = f" in {count} scenarios" if count > 1 else ""
     drives = f"{len(result.drives)} drives" if len(result.drives) > 1 else "the drive"
-    title = f"On {drives}{where}; worst: largest in size where the objective says no direction"
+    title = f"On {drives}{where}"
     shown = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     shown.add_column("metric", no_wrap=True)
     for when in ("before", "after"):
