@@ -74,7 +74,7 @@ def _identified(
 
 def test_two_machines_are_told_apart(folder: Path) -> None:
     _, outcome = _identified(folder, [{"log": "a.csv"}, {"log": "b.csv"}, {"log": "d.csv"}])
-    words = " ".join(outcome.remarks)
+    words = " ".join(outcome.doubts)
     assert "contradict each other about J_L" in words
     assert "Two machines" in words
     alone = next(a for a in outcome.alone if a.name == "J_L")

@@ -221,7 +221,8 @@ def _of_column(f: Facts) -> list[str]:
     if f.constant:
         found.append(f"{f.name}: constant ({f.low:.4g}): as an input it excites nothing.")
     if f.spikes.any():
-        found.append(f"{f.name}: spikes at {_places(np.flatnonzero(f.spikes))}.")
+        places = _places(np.flatnonzero(f.spikes))
+        found.append(f"{f.name}: spikes at {places}: faults, or impacts?")
     return found
 
 

@@ -117,7 +117,7 @@ def _recorded(
     if spec.start == "readings":
         scenario = _started(study, spec.first, scenario, raw)
     measured = tuple(
-        _measured(study, key, spec.columns[key], series, duration, remarks)
+        _measured(study, key, spec.columns[key], series, duration, remarks, log.path.name)
         for key, series in raw.items()
         if is_measured(key)
     )
@@ -144,6 +144,12 @@ def _stamps(spec: Spec, log: Log, column: Column | None) -> np.ndarray:
     return stamps
 
 
+def _read(log: Log, name: str, where: str) -> np.ndarray:
+    if name not in log.columns:
+        raise InputError.unknown(f"{where}.column, in {log.path.name}", name, log.columns)
+    return log.columns[name]
+
+
 def _factor(column: Column, si: str, where: str) -> float:
     """SI units per unit of a column, with sign."""
     if column.unit in ("counts", "count"):
@@ -164,7 +170,7 @@ def _series(
 ) -> Series:  # fmt: skip
     """A column in SI units, cut to the recording's window, without repeated stamps."""
     where = f"identify.columns.{key}"
-    stamps, raw = _stamps(spec, log, column), log.column(column.column)
+    stamps, raw = _stamps(spec, log, column), _read(log, column.column, where)
     if column.plus:
         raw = raw + column.plus.factor * log.column(column.plus.column)
     if raw.shape != stamps.shape:
@@ -253,8 +259,9 @@ def _input(series: Series, between: str, dt: float, where: str) -> Signal:
 
 
 def _measured(
-    study: Study, key: str, column: Column, series: Series, duration: float, remarks: list[str]
-) -> Measurement:
+    study: Study, key: str, column: Column, series: Series, duration: float, remarks: list[str],
+    log: str,
+) -> Measurement:  # fmt: skip
     base, _ = signal_name(key)
     used = np.isfinite(series.values)
     if not used.all():
@@ -268,8 +275,8 @@ def _measured(
             f"{key}: {count} spikes are masked (at {at}{' ...' if count > 5 else ''} s)."
         )
     if not used.any():
-        fix = "check the column"
-        raise InputError(f"identify.columns.{key}", "must hold numbers", "none", fix)
+        got = f"no number in {column.column!r} of {log}"
+        raise InputError(f"identify.columns.{key}", "must hold numbers", got, "check the column")
     rounding = series.quantum / 12.0**0.5
     noise = max(series.noise, rounding)  # the differences of readings show both
     if column.noise is not None:

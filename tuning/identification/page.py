@@ -48,7 +48,7 @@ def write(
     if rivals:
         sections.insert(2, Section("Other structures", [_rivals(outcome, rivals)]))
     about = provenance(seed=spec.search.seed, dtype="float64")
-    mood = "good" if known else "plain"
+    mood = "bad" if outcome.doubts else ("good" if known else "plain")
     title = f"Identification of {study.name}"
     write_html(out / "report.html", title, Summary(first, rest, mood), sections, about)
 

@@ -77,10 +77,12 @@ def sentences(outcome: Outcome) -> list[str]:
     """The result in words, the most important first."""
     kinds = [outcome.verdicts[i].kind for i in outcome.shown]
     known = kinds.count("determined")
-    first = f"{known} of {len(kinds)} parameters are determined by {len(outcome.train)} logs"
+    logs = f"{len(outcome.train)} log{'s' if len(outcome.train) > 1 else ''}"
+    first = f"{known} of {len(kinds)} parameters are determined by {logs}"
     if outcome.test.size:
         first += f"; {outcome.test.size} more were held out"
-    words = [first + "."]
+    first += ", if what follows is settled" if outcome.doubts else ""
+    words = [first + ".", *outcome.doubts]
     words += [
         f"Held out, {log}: {signal} {after:.4g} {unit} rms, {share:.4g} % of the readings."
         for log, use, signal, unit, _, after, share, *_ in log_rows(outcome)[-_MOST_TOLD:]
@@ -153,6 +155,7 @@ def _content(study: Study, spec: Spec, outcome: Outcome, words: list[str]) -> di
             "samples": len(outcome.bootstrap),
             "quantiles": _quantiles(outcome, spec.search.confidence),
         },
+        "doubts": outcome.doubts,
         "logs_alone": [a._asdict() for a in outcome.alone],
         "dt": outcome.problem.dt,
         "interrupted": outcome.interrupted,

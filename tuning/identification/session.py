@@ -14,6 +14,7 @@ from jaxsim.hybrid import Exact
 from jaxsim.status import Status
 from jaxsim.study import Study
 from tuning.identification import uncertainty
+from tuning.identification.doubts import Alone, contradiction, wrong_units
 from tuning.identification.estimator import STAGES, Fit, Fits, Progress, Stage, fit
 from tuning.identification.experiment import Model, model_of
 from tuning.identification.mapping import Recorded, check_loops, experiments
@@ -35,24 +36,13 @@ _LAST = (Stage(Exact()),)
 Tell = Callable[[str, Progress | None], None]
 
 
-class Alone(NamedTuple):
-    """One shared unknown as each log alone gives it: values and standard errors (E,).
-
-    p: the chance that logs of one machine differ so much.
-    """
-
-    name: str
-    values: np.ndarray
-    deviation: np.ndarray
-    p: float
-
-
 class Outcome(NamedTuple):
     """Everything an identification found. P unknowns, E experiments (fitted first, then held out).
 
     fits: all starts. values, interval: (P,), (P, 2) in SI units. seen: the covariance. evaluation:
     of all experiments at `values`. train, test: indices of experiments. error: (E, signals) rms of
-    the residuals in the signals' units. before: the same with the study's own values.
+    the residuals in the signals' units. before: the same with the study's own values. doubts: what
+    says that none of it may be right, in sentences.
     """
 
     problem: Problem
@@ -72,6 +62,7 @@ class Outcome(NamedTuple):
     bootstrap: np.ndarray
     alone: tuple[Alone, ...]
     remarks: tuple[str, ...]
+    doubts: tuple[str, ...]
     interrupted: bool
 
     @property
@@ -143,7 +134,7 @@ class _Work:
     ) -> None:  # fmt: skip
         self.study, self.spec, self.problem, self.recorded = study, spec, problem, recorded
         self.train, self.remarks, self.tell, self.fitted = train, remarks, tell, fitted
-        self.loss = spec.search.loss
+        self.loss, self.doubts = spec.search.loss, list[str]()
         everyone = np.arange(len(problem.experiments))
         self.test = np.setdiff1d(everyone, train)
         self.interrupted = False
@@ -174,7 +165,7 @@ class _Work:
         return Outcome(
             self.problem, self.recorded, fits, initial, best, seen, interval, tuple(judged), there,
             self.train, self.test, self.error(there), before, profiles, samples, alone,
-            tuple(self.remarks), self.interrupted,
+            tuple(self.remarks), tuple(self.doubts), self.interrupted,
         )  # fmt: skip
 
     def _all(self, values: np.ndarray) -> Evaluation:
@@ -196,7 +187,7 @@ class _Work:
         if len(failed) == len(self.train):
             fix = "give better values in [drive] and in the experiments"
             raise InputError("identify", "must be able to run", "; ".join(words[:3]), fix)
-        self.remarks += [f"left out of the fit, {w}" for w in words]
+        self.remarks += [f"Left out of the fit: {w}." for w in words]
         self.train = np.setdiff1d(self.train, failed)
 
     def _search(self, initial: np.ndarray) -> Fits:
@@ -326,7 +317,7 @@ class _Work:
         shared = [i for i, f in enumerate(self.problem.unknowns.free) if not f.own]
         columns = [int(np.flatnonzero(self.problem.unknowns.of == i)[0]) for i in shared]
         alone = [self._compared(c, found.values[good, c], deviation[good, c]) for c in columns]
-        self.remarks += [_contradiction(a) for a in alone if a.p < _ODD]
+        self.doubts += [contradiction(a) for a in alone if a.p < _ODD]
         return tuple(alone)
 
     def _compared(self, column: int, values: np.ndarray, deviation: np.ndarray) -> Alone:
@@ -347,43 +338,4 @@ class _Work:
                 "Residuals are not white: the model leaves something out. The intervals allow for "
                 "it, as far as what is left out does not shift the parameters."
             )
-        self.remarks += scale_remarks(self.problem, there, self.train)
-
-
-def _contradiction(a: Alone) -> str:
-    low, high = float(a.values.min()), float(a.values.max())
-    return (
-        f"The logs contradict each other about {a.name}: alone they give {low:.4g} to {high:.4g} "
-        f"(chance {a.p:.1g}). Two machines, or a change between the logs?"
-    )
-
-
-def scale_remarks(problem: Problem, there: Evaluation, train: np.ndarray) -> list[str]:
-    """Readings that are some known factor times what the model gives: units, signs."""
-    found = []
-    for s, name in enumerate(problem.signals):
-        used = problem.readings.used[train][:, s]
-        values = problem.readings.values[train][:, s][used]
-        left = (there.residuals[0][train][:, s] * problem.readings.noise[train][:, s, None])[used]
-        model = values + left
-        if not np.isfinite(model).all() or np.ptp(model) == 0.0 or np.ptp(values) == 0.0:
-            continue
-        a, b = model - model.mean(), values - values.mean()
-        factor = float(a @ b / (a @ a))
-        alike = float(a @ b / np.sqrt((a @ a) * (b @ b)))
-        for known, words in _UNITS.items():
-            if abs(alike) > 0.9 and abs(factor / known - 1.0) < 0.15:
-                found.append(
-                    f"{name}: readings are {factor:.3g} times what the model gives: {words}?"
-                )
-    return found
-
-
-_UNITS = {
-    180.0 / np.pi: "degrees read as rad",
-    np.pi / 180.0: "rad read as degrees",
-    30.0 / np.pi: "rpm read as rad/s",
-    -1.0: "opposite sign",
-    1e3: "a factor of 1000",
-    1e-3: "a factor of 1000",
-}
+        self.doubts += wrong_units(self.problem, there, self.train)
