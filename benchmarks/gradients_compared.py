@@ -68,7 +68,9 @@ def problem() -> tuple[Study, Spec]:
     """`bench_switched` for the study's drive alone, from 16 starts."""
     study = load("bench_switched")
     spec = read_spec(study, starts=STARTS)
-    return study, spec._replace(spreads=(), count=1, screen=1, working=1, finalists=STARTS)
+    return study, spec._replace(
+        spreads=(), drives=spec.drives[:1, :0], screen=1, working=1, finalists=STARTS
+    )
 
 
 def truth(judge: Problem, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from typing import Any
 
 import numpy as np
@@ -10,9 +12,10 @@ from scipy.optimize import minimize
 from scipy.stats import mstats
 
 from jaxsim.objective import Goal, Limit, Objective
-from tuning import solver
 from tuning.local import RESERVE, Local, Rows, localise
-from tuning.solver import CONVERGED, RUNNING, State
+from tuning.solver import CONVERGED, RUNNING, SOLVERS, Solver, State
+from tuning.solvers.cma import Cma
+from tuning.solvers.sqp import Sqp
 
 
 def rows(value: Any, slope: Any, factor: float = 1.0) -> Rows:
@@ -30,10 +33,15 @@ def banana(z: np.ndarray) -> Local:
     return Local((rows(cost, np.multiply(3.0, slope)),), (disc, line))
 
 
-def run(look: Any, starts: Any, most: int = 100) -> list[State]:
-    states = [solver.begin(State(np.asarray(z, float)), look(np.array([z]))[0]) for z in starts]
+def begun(solver: Solver, look: Any, starts: Any) -> list[State]:
+    return [solver.begin(State(np.asarray(z, float)), look(np.array([z]))[0]) for z in starts]
+
+
+def run(look: Any, starts: Any, most: int = 100, solver: Solver | None = None) -> list[State]:
+    solver = solver or Sqp()
+    states = begun(solver, look, starts)
     while any(s.status == RUNNING for s in states):
-        states = solver.advance(states, look, 1e-7, most)
+        states = solver.advance(states, lambda points, _: look(points), 1e-7, most)
     return states
 
 
@@ -77,8 +85,9 @@ def test_multiplier_is_the_price_of_the_bound() -> None:
         ]
 
     (s,) = run(look, [[0.2]])
-    assert s.step is not None
-    assert float(s.step.limit_weights[0].sum()) == pytest.approx(0.8, rel=1e-5)
+    step = Sqp().multipliers(s, look(s.best[None])[0])  # type: ignore[index, arg-type]
+    assert step is not None
+    assert float(step.limit_weights[0].sum()) == pytest.approx(0.8, rel=1e-5)
 
 
 def test_failed_trials_are_rejected_and_leave_the_others_alone() -> None:
@@ -93,6 +102,88 @@ def test_failed_trials_are_rejected_and_leave_the_others_alone() -> None:
     assert np.isfinite(both[0].z).all()
     alone = run(lambda zs: look(zs, True), starts[1:])
     np.testing.assert_array_equal(both[1].z, alone[0].z)
+
+
+def fold(z: np.ndarray) -> Local:
+    """A valley with a sharp bottom along a parabola, and a limit: one gradient sees one side."""
+    x, y = 2.0 * z - 0.5
+    side = 1.0 if y > x**2 else -1.0
+    cost = 10.0 * side * (y - x**2) + (x - 0.8) ** 2
+    slope = np.array([-20.0 * side * x + 2.0 * (x - 0.8), 10.0 * side])
+    return Local((rows(cost, 2.0 * slope),), (rows(x + y - 0.9, [2.0, 2.0]),))
+
+
+# On the fold y = x^2 and the limit x + y = 0.9: x = (sqrt(4.6) - 1)/2.
+FOLDED = (np.sqrt(4.6) - 1.0) / 2.0
+
+
+def test_the_bottom_of_a_fold_is_followed_to_its_end() -> None:
+    for s in run(lambda zs: [fold(z) for z in zs], [[0.1, 0.9], [0.3, 0.2], [0.45, 0.35]]):
+        assert s.best_local is not None
+        assert s.best_local.violation == 0.0
+        assert s.best_local.cost == pytest.approx((FOLDED - 0.8) ** 2, abs=1e-6)
+
+
+def test_evolution_finds_the_end_of_the_fold_without_slopes() -> None:
+    def look(zs: np.ndarray) -> list[Local | str]:
+        flat = [fold(z) for z in zs]
+        return [
+            Local(*(tuple(r._replace(slopes=r.slopes[:, :0]) for r in terms) for terms in x))
+            if z[0] < 0.95
+            else "no run here"
+            for x, z in zip(flat, zs, strict=True)
+        ]
+
+    before = np.random.get_state(legacy=False)["state"]["key"].copy()
+    (s,) = run(look, [[0.1, 0.9]], 300, Cma())
+    assert s.status == CONVERGED
+    assert s.best_local is not None
+    assert s.best_local.violation == 0.0
+    assert s.best_local.cost == pytest.approx((FOLDED - 0.8) ** 2, abs=1e-5)
+    np.testing.assert_array_equal(np.random.get_state(legacy=False)["state"]["key"], before)
+
+
+@pytest.mark.parametrize("name", SOLVERS.names())
+def test_one_gain_and_a_limit(name: str) -> None:
+    def look(zs: np.ndarray) -> list[Local | str]:
+        return [
+            Local((rows((z - 0.9) ** 2, 2.0 * (z - 0.9)),), (rows(z - 0.5, [1.0]),)) for z in zs
+        ]
+
+    (s,) = run(look, [[0.2]], 200, SOLVERS.find(name)())
+    assert s.best is not None
+    assert s.best_local is not None
+    assert s.best_local.violation == 0.0
+    assert s.best[0] == pytest.approx(0.5, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", SOLVERS.names())
+def test_a_solver_written_down_goes_on_as_if_it_had_not_stopped(name: str) -> None:
+    def look(points: np.ndarray, _: Any) -> list[Local | str]:
+        return [fold(z) for z in points]
+
+    whole, first = SOLVERS.find(name)(), SOLVERS.find(name)()
+    starts = [[0.1, 0.9], [0.3, 0.2]]
+    states = begun(whole, lambda zs: look(zs, None), starts)
+    halves = begun(first, lambda zs: look(zs, None), starts)
+    for k in range(12):
+        if k == 6:
+            second = SOLVERS.find(name)()
+            halves = [
+                dataclasses.replace(s, memory=second.restore(plain(first.dump(s.memory))))
+                for s in halves
+            ]
+            first = second
+        states = whole.advance(states, look, 1e-7, 99)
+        halves = first.advance(halves, look, 1e-7, 99)
+    for s, other in zip(states, halves, strict=True):
+        np.testing.assert_array_equal(s.z, other.z)
+        assert s.rank == other.rank
+
+
+def plain(table: Any) -> Any:
+    """As it comes back from a file."""
+    return json.loads(json.dumps(table, default=lambda a: a.tolist()))
 
 
 def test_violated_limits_are_cut_as_far_as_they_go() -> None:

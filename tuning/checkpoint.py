@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from typing import TYPE_CHECKING, Any
@@ -11,14 +10,13 @@ import numpy as np
 
 from jaxsim.errors import InputError
 from jaxsim.provenance import write_json
-from tuning.solver import State
+from tuning.solver import SOLVERS, Solver, State
 from tuning.spec import describe
 
 if TYPE_CHECKING:
     from tuning.session import Session
 
-_PLAIN = ("radius", "penalty", "status", "iterations", "reason")
-_ARRAYS = ("z", "hessian", "best")
+_PLAIN = ("radius", "status", "iterations", "reason")
 
 
 def write(session: Session) -> None:
@@ -27,12 +25,13 @@ def write(session: Session) -> None:
         session.file,
         {
             "problem": fingerprint(session),
-            "stage": session.stage,
+            "phase": session.at,
+            "allowed": session.allowed,
             "drives": session.drives,
             "excluded": session.excluded,
             "unit": session.unit,
             "seconds": session.seconds,
-            "states": [_table(s) for s in session.states],
+            "states": [_table(s, session.solver) for s in session.states],
             "history": session.history,
         },
     )
@@ -46,18 +45,19 @@ def read(session: Session) -> list[State]:
     file = session.file
     try:
         found = json.loads(file.read_text("utf-8"))
-        states = [_state(table) for table in found["states"]]
+        solver = SOLVERS.find(session.phases[found["phase"]].solver)()
+        states = [_state(table, solver) for table in found["states"]]
     except FileNotFoundError:
         fix = "leave --resume out for a new run"
         raise InputError("--resume", "needs a checkpoint", f"no {file}", fix) from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, IndexError) as error:
         fix = "start anew without --resume"
         raise InputError(str(file), "must be a whole checkpoint", repr(error), fix) from None
     if found["problem"] != fingerprint(session):
         fix = "give the same study, starts and seed, or start anew without --resume"
         raise InputError(str(file), "must belong to this study", "another problem", fix)
-    session.stage, session.unit, session.seconds = found["stage"], found["unit"], found["seconds"]
-    session.drives = np.array(found["drives"], int)
+    session.at, session.unit, session.seconds = found["phase"], found["unit"], found["seconds"]
+    session.allowed, session.drives = found["allowed"], np.array(found["drives"], int)
     session.excluded = {int(k): v for k, v in found["excluded"].items()}
     session.history = found["history"]
     return states
@@ -71,12 +71,17 @@ def fingerprint(session: Session) -> str:
     return hashlib.sha256(text.encode() + session.spec.drives.tobytes()).hexdigest()
 
 
-def _table(s: State) -> dict[str, Any]:
-    return {name: getattr(s, name) for name in (*_PLAIN, *_ARRAYS)}
+def _table(s: State, solver: Solver) -> dict[str, Any]:
+    memory = None if s.memory is None else solver.dump(s.memory)
+    own = {name: getattr(s, name) for name in _PLAIN}
+    return own | {"z": s.z, "best": s.best, "memory": memory}
 
 
-def _state(table: dict[str, Any]) -> State:
-    arrays = {k: None if table[k] is None else np.array(table[k], float) for k in _ARRAYS}
-    return dataclasses.replace(
-        State(np.zeros(0)), **arrays, **{name: table[name] for name in _PLAIN}
+def _state(table: dict[str, Any], solver: Solver) -> State:
+    best, memory = table["best"], table["memory"]
+    return State(
+        np.array(table["z"], float),
+        best=None if best is None else np.array(best, float),
+        memory=None if memory is None else solver.restore(memory),
+        **{name: table[name] for name in _PLAIN},
     )

@@ -7,10 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxsim.objective import Limit
-from tuning import solver, space
+from tuning import space
 from tuning.local import RESERVE, Local, size
 from tuning.session import Session, excess_columns
 from tuning.solver import RUNNING, State
+from tuning.solvers.sqp import Sqp
+
+_SOLVER = Sqp()
 
 
 class Attained(NamedTuple):
@@ -44,10 +47,10 @@ def attained(session: Session, best: State) -> tuple[Attained, ...]:
         ]
 
     first = look(np.array([z for _, z in pairs]), list(range(len(pairs))))
-    states = [solver.begin(State(z), x) for (_, z), x in zip(pairs, first, strict=True)]
+    states = [_SOLVER.begin(State(z), x) for (_, z), x in zip(pairs, first, strict=True)]
     most = session.spec.iterations
     while any(s.status == RUNNING for s in states):
-        states = solver.advance_each(states, look, session.spec.tolerance, most)
+        states = _SOLVER.advance(states, look, session.spec.tolerance, most)
     return tuple(
         _best_of(limit, [s for s, own in zip(states, which, strict=True) if own == k])
         for k, limit in enumerate(limits)

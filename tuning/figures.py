@@ -15,7 +15,7 @@ from tuning import space
 from tuning.certificate import Case
 from tuning.result import Result
 from tuning.scoring import Scores
-from tuning.session import FULL, Session
+from tuning.session import Session
 
 _TITLE = 52  # characters of a title that a panel has room for
 _SIGNALS = ("theta_L", "T_s", "T_M")
@@ -159,8 +159,7 @@ def _convergence(session: Session, path: Path) -> None:
         for ax, stage in zip(axes[0], stages, strict=True):
             rows = [row for row in session.history if row["stage"] == stage]
             _draw_stage(ax, rows, 10.0**-power)
-            drives = session.spec.count if stage == FULL else session.spec.screen
-            ax.set_title(f"{drives} drives" if drives > 1 else "one drive")
+            ax.set_title(stage)
             ax.set_xlabel("iteration")
             ax.xaxis.get_major_locator().set_params(integer=True)
         axes[0, 0].set_ylabel(f"cost: {what}" + (f" [$10^{{{power}}}$]" if power else ""))

@@ -18,14 +18,16 @@ import numpy as np
 from jaxsim.errors import InputError
 from jaxsim.objective import Goal, Limit, Objective, check_name
 from jaxsim.study import Study
-from tuning import front_checkpoint, solver, space
+from tuning import front_checkpoint, space
 from tuning.local import RESERVE, Local, localise
 from tuning.problem import Problem
 from tuning.scoring import Scores, everything, score
 from tuning.session import noted_interrupts
 from tuning.solver import RUNNING, State
+from tuning.solvers.sqp import Sqp
 from tuning.spec import Spec
 
+_SOLVER = Sqp()
 SCREEN, FULL = "screen", "full"
 # Of a front, unless told otherwise.
 POINTS = 12
@@ -285,7 +287,7 @@ class Tracer:
         first = self._look(objectives, np.ones(len(starts)), np.array(starts))
         units = np.array([1.0 if isinstance(x, str) else abs(x.cost) or 1.0 for x in first])
         states = [
-            solver.begin(State(z), x if isinstance(x, str) else _scaled(x, unit))
+            _SOLVER.begin(State(z), x if isinstance(x, str) else _scaled(x, unit))
             for z, x, unit in zip(starts, first, units, strict=True)
         ]
 
@@ -296,7 +298,7 @@ class Tracer:
         for iteration in range(most + 1):
             if all(s.status != RUNNING for s in states):
                 break
-            states = solver.advance_each(states, look, tolerance, most)
+            states = _SOLVER.advance(states, look, tolerance, most)
             self._keep()
             self.tell(Progress(what, iteration + 1, most, len(self._non_dominated())))
             if self._pressed:

@@ -13,17 +13,20 @@ from tuning import certificate as certificates
 from tuning import space, working
 from tuning.certificate import Case, Certificate
 from tuning.conflict import Attained, attained
-from tuning.local import localise, size
-from tuning.problem import Problem
+from tuning.local import Local, localise, size
+from tuning.problem import Outcome, Problem
 from tuning.scoring import Scores, everything, fresh, score
-from tuning.session import FULL, Session
+from tuning.session import Session
 from tuning.solver import SPENT, State
-from tuning.subproblem import best_step
 
 # A limit whose multiplier is below this share of the cost does not hold the law back.
 _IDLE = 1e-6
-# Half the width of the cube around the best law in which its multipliers are read.
-_NEAR = 1e-2
+# Drives whose share of a bound is smaller than that of the worst one by this have no say in it.
+_ROOM = 0.1
+# The engine moves peaks by 3e-6 of themselves from dt = 2e-4 s to the limit, other studies may be
+# coarser: at half the step a limit may be exceeded by this share of its bound. The value at the
+# step of the study may not exceed it at all.
+_FINER = 1e-4
 
 
 class Verdict(NamedTuple):
@@ -46,7 +49,8 @@ class Verdict(NamedTuple):
 
     @property
     def excess(self) -> float:
-        return max(self.limit.excess(self.value), self.limit.excess(self.finer))
+        finer = self.limit.excess(self.finer) - _FINER * size(self.limit)
+        return max(self.limit.excess(self.value), finer)
 
     @property
     def share(self) -> float:
@@ -102,6 +106,7 @@ def conclude(session: Session) -> Result:
     gains = space.to_gains(session.spec.free, state.best)
     initial = space.gains_of(study.law, session.spec.free)
     outcome = problem.evaluate(state.best[None], drives)
+    told = prices(session, state, outcome)
     cases = certificates.cases(problem, outcome, drives)
     with ThreadPoolExecutor(2) as pool:  # two programs, which compile side by side
         half = pool.submit(score, problem, [gains], drives, 0.5 * study.run.dt, problem.metrics)
@@ -109,7 +114,7 @@ def conclude(session: Session) -> Result:
         (finer,) = half.result()
     verdicts = tuple(
         _verdict(limit, price, after, finer, drives)
-        for limit, price in zip(session.spec.objective.limits, prices(session, state), strict=True)
+        for limit, price in zip(session.spec.objective.limits, told, strict=True)
     )
     return Result(
         law=space.with_gains(study.law, session.spec.free, gains),
@@ -147,7 +152,7 @@ def _best(session: Session, drives: np.ndarray) -> State:
     A search that was interrupted on the few drives of its screen has not looked at the others: what
     it has found there may be worse than the law that it began with. So all of them are compared.
     """
-    if session.stage == FULL:
+    if session.final:
         return session.best()
     problem, spec = session.problem, session.spec
     given = space.starting_points(session.study.law, spec)[0]
@@ -181,30 +186,40 @@ def _fresh(
     return [whole.part(slice(end - len(part), end)) for part, end in zip(own, ends, strict=True)]
 
 
-def prices(session: Session, state: State) -> list[float]:
+def prices(session: Session, state: State, outcome: Outcome) -> list[float]:
     """d cost/d bound of each limit at the best law of a state; nan where it cannot be told.
 
-    From the multipliers of the step there, which is solved anew: a session that was resumed has
-    no last step, and the last step may have begun elsewhere than at the best law.
+    From the multipliers of the step there. outcome: of that law on all drives.
     """
-    limits = session.spec.objective.limits
-    here, z = state.best_local, state.best
-    if here is None or z is None or state.hessian is None:
-        return [np.nan] * len(limits)
-    lower, upper = np.maximum(-_NEAR, -z), np.minimum(_NEAR, 1.0 - z)
-    step = best_step(here, state.hessian, state.penalty, lower, upper)
+    limits, unit = session.spec.objective.limits, session.unit
+    values, slopes = outcome.values[0], outcome.slopes[0]
+    objective, metrics = session.spec.objective, session.problem.metrics
+    local = _near_bounds(localise(objective, metrics, values, slopes))
+    goals = tuple(g._replace(factor=g.factor / unit) for g in local.goals)
+    step = session.solver.multipliers(state, local._replace(goals=goals))
     if step is None:
         return [np.nan] * len(limits)
     sums = [float(w.sum()) for w in step.limit_weights]
     # A violated limit has the penalty as its multiplier: a price of nothing.
     return [
         np.nan
-        if total >= 0.99 * state.penalty
-        else total * session.unit / size(limit)
+        if total >= 0.99 * step.penalty
+        else total * unit / size(limit)
         if total > _IDLE
         else 0.0
         for total, limit in zip(sums, limits, strict=True)
     ]
+
+
+def _near_bounds(local: Local) -> Local:
+    """Without the rows of limits that no small step reaches: thousands of drives have most."""
+    kept = [rows.values > rows.values.max() - _ROOM for rows in local.limits]
+    return local._replace(
+        limits=tuple(
+            rows._replace(values=rows.values[k], slopes=rows.slopes[k], source=rows.source[k])
+            for rows, k in zip(local.limits, kept, strict=True)
+        )
+    )
 
 
 def _verdict(

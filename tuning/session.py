@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,23 +17,26 @@ import numpy as np
 from jaxsim.errors import InputError
 from jaxsim.objective import Objective
 from jaxsim.study import Study
-from tuning import checkpoint, solver, space, working
+from tuning import checkpoint, space, working
 from tuning.local import Local, localise
+from tuning.phase import FULL, Phase, phases
 from tuning.problem import Outcome, Problem, Share
-from tuning.solver import FAILED, RUNNING, SPENT, State
+from tuning.scoring import values_only
+from tuning.solver import FAILED, RUNNING, SOLVERS, SPENT, Solver, State
 from tuning.spec import Spec
 
-SCREEN, FULL = "screen", "full"
 _COARSE = 1e-3  # the screen only has to rank: steps shorter than this, on the unit cube, end it
-_SECOND_RADIUS = 0.05
 # Ends of the screen closer than this, on the unit cube, are the same.
 _SAME = 1e-2
 
 
 class Progress(NamedTuple):
-    """Where a run stands: iterations of this stage done and at most to do, and the best so far."""
+    """Where a run stands: iterations of this phase done and at most to do, and the best so far.
 
-    stage: str
+    phase: its index and title.
+    """
+
+    phase: tuple[int, str]
     done: int
     total: int
     cost: float
@@ -65,7 +69,7 @@ def noted_interrupts() -> Iterator[list[int]]:
 class Session:
     """One search, whose state is on disk after every iteration.
 
-    stage: "screen" or "full". drives: indices of those looked at. excluded: index -> why, of
+    at: index of the phase. drives: indices of those looked at. excluded: index -> why, of
     drives that fail under every law tried. unit: the cost that counts as 1 in the search.
     history: one table per start and iteration.
     """
@@ -73,7 +77,9 @@ class Session:
     def __init__(self, study: Study, spec: Spec, file: Path, share: Share | None = None) -> None:
         self.study, self.spec, self.file = study, spec, file
         self.problem = Problem(study, spec, share)
-        self.stage = SCREEN if spec.screen < spec.count else FULL
+        self.phases, self.at = phases(study, spec), 0
+        self._solvers: dict[str, Solver] = {n: SOLVERS.find(n)() for n in spec.solvers}
+        self._models: dict[int, Problem] = {}
         self.states: list[State] = []
         self.drives = np.arange(spec.count)
         self.excluded: dict[int, str] = {}
@@ -82,6 +88,30 @@ class Session:
         self.seconds = 0.0
         self.done = self.interrupted = False
         self.allowed = spec.iterations  # on all drives, since these were looked at last
+
+    @property
+    def phase(self) -> Phase:
+        return self.phases[self.at]
+
+    @property
+    def final(self) -> bool:
+        """Whether the laws of this phase have seen the study's own model, and all drives."""
+        return self.at == len(self.phases) - 1
+
+    @property
+    def solver(self) -> Solver:
+        return self._solvers[self.phase.solver]
+
+    @property
+    def _model(self) -> Problem:
+        """The runs of this phase."""
+        own = self.phase.deadzone
+        if own == self.study.run.deadzone:
+            return self.problem
+        if self.at not in self._models:
+            study = self.study._replace(run=self.study.run._replace(deadzone=own))
+            self._models[self.at] = Problem(study, self.spec, self.problem.share)
+        return self._models[self.at]
 
     def search(self, tell: Callable[[Progress], None]) -> None:
         """Search to the end, or until Ctrl-C; `tell` is called after every iteration.
@@ -103,13 +133,8 @@ class Session:
                 raise  # nothing to keep
             self.interrupted = True
 
-    @property
-    def final(self) -> bool:
-        """Whether the stage on all drives has begun."""
-        return self.stage == FULL
-
     def best(self) -> State:
-        """The best law met in this stage: by violation, then cost."""
+        """The best law met in this phase: by violation, then cost."""
         return min(self.states, key=lambda s: s.rank)
 
     def progress(self) -> Progress:
@@ -117,35 +142,50 @@ class Session:
         best = self.best()
         cost = np.nan if best.best_local is None else best.best_local.cost * self.unit
         total = done if self.done else self._most()
-        return Progress(self.stage, done, total, cost, best.rank[0])
+        return Progress((self.at, self.phase.title), done, total, cost, best.rank[0])
 
     def _most(self) -> int:
-        """Iterations of this stage; the screen, which only ranks, has half of them."""
-        return self.allowed if self.stage == FULL else -(-self.spec.iterations // 2)
+        """Iterations of this phase; the screen, which only ranks, has half of them."""
+        return self.allowed if self.phase.stage == FULL else -(-self.spec.iterations // 2)
 
     def _turn(self) -> None:
-        """The next piece of work: opening a stage, or an iteration of it."""
+        """The next piece of work: opening a phase, or an iteration of it."""
         running = [s.status == RUNNING for s in self.states]
         if not self.states:
             points = space.starting_points(self.study.law, self.spec)
             self._open([State(z) for z in points])
             self._record([True] * len(points))
         elif any(running):
-            full = self.stage == FULL
+            full = self.phase.stage == FULL
             tolerance = self.spec.tolerance if full else max(_COARSE, self.spec.tolerance)
-            self.states = solver.advance(self.states, self.look, tolerance, self._most())
+            self.states = self.solver.advance(
+                self.states, lambda points, _: self.see(points), tolerance, self._most()
+            )
             self._record(running)
-        elif self.stage == SCREEN:
-            self._open_full()
+        elif not self.final:
+            self._next_phase()
             self._record([True] * len(self.states))
         elif not self._widen():
             self.done = True
 
+    def _next_phase(self) -> None:
+        """All go on from their ends, or, to see all drives, the best of them."""
+        before = self.phase
+        self.at += 1
+        ends = [s for s in sorted(self.states, key=lambda s: s.rank) if s.best is not None]
+        given = State(space.starting_points(self.study.law, self.spec)[0])
+        if before.stage != self.phase.stage:
+            self._open_full(ends, given)
+        else:
+            # What was best on another model may be worse here than the law that was given.
+            other = [given] if before.deadzone != self.phase.deadzone else []
+            self._open([*map(self.solver.again, ends), *other])
+
     def _open(self, states: list[State]) -> None:
-        """Begin a stage. Drives that fail under every one of its laws are left out, and named."""
+        """Begin a phase. Drives that fail under every one of its laws are left out, and named."""
         self.drives = self._wanted()
         points = np.array([s.z for s in states])
-        outcome = self.problem.evaluate(points, self.drives)
+        outcome = self._evaluate(points)
         dead = np.asarray(outcome.status.any(axis=-1).all(axis=0))
         for k in np.flatnonzero(dead):
             index, first = int(self.drives[k]), int(np.argmax(outcome.status[0, k] != 0))
@@ -160,29 +200,25 @@ class Session:
         if not self.history:
             self.unit = _unit(locals_)
             locals_ = self._locals(_part(outcome, ~dead))
-        self.states = [solver.begin(s, x) for s, x in zip(states, locals_, strict=True)]
+        self.states = [self.solver.begin(s, x) for s, x in zip(states, locals_, strict=True)]
         if all(s.status == FAILED for s in self.states):
             why = self.states[0].reason
             raise InputError("tune", "needs a start that can be evaluated", why, "other bounds")
 
     def _wanted(self) -> np.ndarray:
-        """Indices of the drives of this stage."""
+        """Indices of the drives of this phase."""
         known = np.array([i for i in range(self.spec.count) if i not in self.excluded])
-        if self.stage == FULL:
+        if self.phase.stage == FULL:
             return known[(known < self.spec.working) | np.isin(known, self.drives)]
         return known[space.spanning(self.problem.drives[known], self.spec.screen)]
 
-    def _open_full(self) -> None:
+    def _open_full(self, ends: list[State], given: State) -> None:
         """The ends of the screen on all drives; the best of them go on."""
-        self.stage = FULL
-        ends = [s for s in sorted(self.states, key=lambda s: s.rank) if s.best is not None]
         apart: list[State] = []
         for s in ends:
             if all(np.abs(s.best - other.best).max() > _SAME for other in apart):  # type: ignore[operator]
                 apart.append(s)
-        start = State(space.starting_points(self.study.law, self.spec)[0])
-        tried = [_second(s) for s in apart[: 2 * self.spec.finalists]]
-        self._open([*tried, start])
+        self._open([*map(self.solver.again, apart[: 2 * self.spec.finalists]), given])
         ranked = sorted(self.states, key=lambda s: s.rank)
         self.states = [s for s in ranked if s.status != FAILED][: self.spec.finalists]
 
@@ -202,13 +238,21 @@ class Session:
             return False
         self.drives = np.concatenate([self.drives, worse])
         self.allowed = best.iterations + self.spec.iterations
-        self._open([dataclasses.replace(_second(best), iterations=best.iterations)])
+        self._open([dataclasses.replace(self.solver.again(best), iterations=best.iterations)])
         self._record([True])
         return True
 
     def look(self, points: np.ndarray) -> list[Local | str]:
-        """The objective at each point (n, P) of the unit cube, on the drives of the stage."""
-        return self._locals(self.problem.evaluate(points, self.drives))
+        """The objective at each point (n, P) of the unit cube, with slopes, on the drives."""
+        return self._locals(self._model.evaluate(points, self.drives))
+
+    def see(self, points: np.ndarray) -> list[Local | str]:
+        """The same, with slopes only where the solver needs them."""
+        return self._locals(self._evaluate(points))
+
+    def _evaluate(self, points: np.ndarray) -> Outcome:
+        look = self._model.evaluate if self.solver.slopes else partial(values_only, self._model)
+        return look(points, self.drives)
 
     def _locals(self, outcome: Outcome) -> list[Local | str]:
         """The objective at each point, or why it has none there."""
@@ -218,7 +262,7 @@ class Session:
             if trouble:
                 found.append(trouble)
                 continue
-            sample = self.drives < self.spec.working if self.stage == FULL else None
+            sample = self.drives < self.spec.working if self.phase.stage == FULL else None
             local = localise(self.spec.objective, self.problem.metrics, values, slopes, sample)
             goals = tuple(g._replace(factor=g.factor / self.unit) for g in local.goals)
             found.append(local._replace(goals=goals))
@@ -242,7 +286,7 @@ class Session:
             gains = space.to_gains(self.spec.free, s.z).tolist()
             self.history.append(
                 {
-                    "stage": self.stage,
+                    "stage": self.phase.title,
                     "iteration": s.iterations,
                     "start": k,
                     "status": s.status,
@@ -258,11 +302,6 @@ class Session:
 def excess_columns(objective: Objective) -> list[str]:
     """Names of the columns of a history: by what share each limit, less its reserve, is broken."""
     return [f"excess of {limit.words}" for limit in objective.limits]
-
-
-def _second(s: State) -> State:
-    """A state to go on from the best point of another one, with its curvature and penalty."""
-    return State(s.best, _SECOND_RADIUS, s.hessian, s.penalty)  # type: ignore[arg-type]
 
 
 def _part(outcome: Outcome, drives: np.ndarray) -> Outcome:
@@ -284,8 +323,8 @@ def resume(session: Session) -> None:
     kept = [s for s in states if s.best is not None]
     if not kept:
         return
-    here = session.look(np.array([s.z for s in kept]))
-    best = session.look(np.array([s.best for s in kept]))
+    here = session.see(np.array([s.z for s in kept]))
+    best = session.see(np.array([s.best for s in kept]))
     revived = []
     for s, now, top in zip(kept, here, best, strict=True):
         if isinstance(now, str) or isinstance(top, str):
@@ -295,4 +334,3 @@ def resume(session: Session) -> None:
             again = dataclasses.replace(again, status=RUNNING, iterations=0, reason="")
         revived.append(again)
     session.states = revived
-    session.allowed += max((s.iterations for s in revived), default=0)

@@ -16,6 +16,7 @@ from jaxsim.quantity import to_si
 from jaxsim.study import Study
 from jaxsim.validation import check
 from tuning.drive_set import SETS, Drives, Spread, path_in
+from tuning.solver import SOLVERS
 from tuning.tie import Tie, read_tie
 
 # Bounds of one sign that span more than this are searched in the logarithm.
@@ -43,9 +44,10 @@ class Spec(NamedTuple):
     study's own law among them. screen: drives on which all starts are tried before the best
     `finalists` see all. iterations: at most so many on all drives, and again whenever others join
     the working set; half as many before. tolerance: a step shorter than this, on the unit cube of
-    the bounds, ends a start. seed: of drives and
-    starts. working: the drives that the last stage begins with; those that break a limit join
-    them. check: drives drawn afresh on which the tuned law is tried at the end.
+    the bounds, ends a start. seed: of drives and starts. working: the drives that the last stage
+    begins with; those that break a limit join them. check: drives drawn afresh on which the tuned
+    law is tried at the end. solvers: each goes on from the ends of the one before, the last one
+    sees all drives. smoothing: half-widths, rad, of smoothed models that are searched before.
     """
 
     free: tuple[Free, ...]
@@ -60,6 +62,8 @@ class Spec(NamedTuple):
     objective: Objective
     working: int
     check: int
+    solvers: tuple[str, ...]
+    smoothing: tuple[float, ...]
 
     @property
     def count(self) -> int:
@@ -75,6 +79,8 @@ class _Tune(BaseModel):
     iterations: int = Field(ge=1, default=40)
     tolerance: float = Field(gt=0.0, lt=1.0, default=3e-6)
     seed: int = Field(ge=0, default=0)
+    solver: str | list[str] = Field(min_length=1, default=["cma", "sqp"])
+    smoothing: list[float | str] = []
 
 
 class _Free(BaseModel):
@@ -124,7 +130,24 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
         objective=study.objective,
         working=min(options.working or count, count),
         check=options.check,
+        solvers=_solvers(main.solver),
+        smoothing=tuple(_width(w) for w in main.smoothing),
     )
+
+
+def _solvers(given: str | list[str]) -> tuple[str, ...]:
+    """Names of solvers, one after the other; an unknown one is told."""
+    names = (given,) if isinstance(given, str) else tuple(given)
+    for name in names:
+        SOLVERS.find(name)
+    return names
+
+
+def _width(given: float | str) -> float:
+    width = float(to_si(given, "rad", "tune.smoothing"))
+    if not width > 0.0:
+        raise InputError("tune.smoothing", "must be > 0", given, 'half-widths, e.g. "1 mrad"')
+    return width
 
 
 def _drives(study: Study, main: _Tune) -> tuple[_Drives, Drives]:
@@ -240,6 +263,8 @@ def describe(spec: Spec) -> Mapping[str, Any]:
         "seed": spec.seed,
         "working": spec.working,
         "check": spec.check,
+        "solver": list(spec.solvers),
+        "smoothing": list(spec.smoothing),
         "objective": [list(map(list, part)) for part in spec.objective],
     }
 

@@ -26,6 +26,7 @@ class Step(NamedTuple):
     goal_weights: tuple[np.ndarray, ...]
     limit_weights: tuple[np.ndarray, ...]
     excess: np.ndarray
+    penalty: float
 
 
 def merit(local: Local, penalty: float) -> float:
@@ -103,7 +104,7 @@ def _read(
     goals = len(local.goals)
     own = tuple(w * g.factor for w, g in zip(weights[:goals], local.goals, strict=True))
     value = merit(there, penalty) + 0.5 * float(d @ hessian @ d)
-    return Step(d, value, own, tuple(weights[goals:]), there.excess)
+    return Step(d, value, own, tuple(weights[goals:]), there.excess, penalty)
 
 
 def _moved(rows: Rows, d: np.ndarray) -> Rows:

@@ -167,25 +167,19 @@ def _search(session: Any, console: Any) -> None:
         Left(),
         TextColumn("{task.fields[best]}"),
     )
-    spec = session.spec
-    names = {"screen": f"{spec.starts} starts, {spec.screen} drives"}
-    names["full"] = "search"
-    if spec.screen < spec.count:
-        few = f"{spec.working} of " if spec.working < spec.count else ""
-        names["full"] = f"best starts, {few}{spec.count} drives"
-    tasks: dict[str, Any] = {}
+    tasks: dict[tuple[int, str], Any] = {}
     with Progress(*columns, console=console) as bar:
         waiting = bar.add_task("compiling", total=1, best="")
 
         def tell(p: Any) -> None:
             bar.update(waiting, completed=1, visible=False)
-            if p.stage not in tasks:
+            if p.phase not in tasks:
                 for task in tasks.values():
                     bar.update(task, completed=bar.tasks[task].total)
-                tasks[p.stage] = bar.add_task(names[p.stage], total=p.total, best="")
+                tasks[p.phase] = bar.add_task(p.phase[1], total=p.total, best="")
             kept = "limits hold" if p.violation <= 0.0 else f"{100 * p.violation:.2g} % too much"
             bar.update(
-                tasks[p.stage], completed=p.done, total=p.total, best=f"{p.cost:.4g}, {kept}"
+                tasks[p.phase], completed=p.done, total=p.total, best=f"{p.cost:.4g}, {kept}"
             )
 
         session.search(tell)

@@ -1,0 +1,1 @@
+"""Solvers of tuning: one concrete subclass of `tuning.solver.Solver` per file."""
