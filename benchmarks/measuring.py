@@ -78,7 +78,7 @@ def _model() -> str:
 def save(name: str, tables: Mapping[str, Rows], ratios: Mapping[str, float]) -> None:
     """Write results/bench/NAME.json. ratios: what runs are compared by, larger is better."""
     path = NEW / f"{name}.json"
-    write_json(path, {"ratios": ratios, "tables": tables, "machine": fingerprint(), **provenance()})
+    write_json(path, {"ratios": ratios, "tables": tables, **provenance(), "machine": fingerprint()})
     for title, rows in tables.items():
         show(f"{name}: {title}", rows)
     show(f"{name}: ratios", [{"ratio": key, "value": value} for key, value in ratios.items()])
