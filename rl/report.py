@@ -20,6 +20,7 @@ from rl.comparison import TUNED, Entry, Line
 from rl.nominal import JUDGED
 from rl.study import Comparison
 
+_AGENTS = 4  # drawn
 _COMMAND = ("command_peak", "command_variation")
 
 
@@ -91,39 +92,55 @@ def write(
     _write_numbers(folder, study, entries, lines, words, found, runs, unit)
     figures.costs(folder / "costs.png", entries, lines)
     signals = ("theta_L", "T_s", "command") if unit == "rad" else ("T_s", "command")
-    figures.responses(folder / "responses.png", runs, signals)
-    pictures = [
-        Picture("Cost of every episode and seed; the line is the tuned law's median.",
-                folder / "costs.png"),
-        Picture("Learning curves: median cost of the validation episodes.",
-                folder / "learning.png"),
-    ]  # fmt: skip
+    figures.responses(folder / "responses.png", _drawn(lines, runs), signals)
+    verdict, *rest = words
+    mood = "good" if verdict.startswith("Learning pays") else "plain"
     tables = [_main_table(lines), _medians(lines), _wins(lines)]
-    response = Picture("Responses in the nominal case.", folder / "responses.png")
+    costs, learning, responses = _pictures(folder)
+    sections = [
+        Section("How it was compared", [Text(_about(study, found, list(runs)))]),
+        Section("Random episodes", [*tables, costs, learning]),
+        Section("Nominal case", [nominal_table(runs, unit), responses]),
+    ]
+    write_html(
+        folder / "report.html",
+        f"Comparison: {study.name}",
+        Summary(verdict, rest, mood),
+        sections,
+        provenance(dtype="float32"),
+    )
+
+
+def _about(study: Comparison, found: Tuned, names: Sequence[str]) -> list[str]:
+    """How it was compared, in words; names: of the laws, the tuned one after its original."""
     seeds = max(len(specs) for specs in study.agents.values())
-    about = [
+    gains = ", ".join(f"{n} = {v:.4g}" for n, v in found.gains.items())
+    return [
         f"{study.about}. {study.episodes} fresh episodes, the same for all, apart from those "
         f"that agents are trained and chosen on and from those that the law is tuned on; "
         f"{seeds} seeds per agent.",
         "Classical laws run continuously on exact signals. Agents read encoders every "
         "millisecond, with noise, and in half of the episodes one period late.",
-        f"The tuned law has the structure of {list(runs)[2]}, and the gains "
-        + ", ".join(f"{n} = {v:.4g}" for n, v in found.gains.items())
-        + f", by CMA-ES on the median cost of 256 other episodes ({found.runs} runs).",
+        f"The tuned law has the structure of {names[names.index(TUNED) - 1]}, and the gains "
+        f"{gains}, by CMA-ES on the median cost of 256 other episodes ({found.runs} runs).",
     ]
-    verdict, *rest = words
-    mood = "good" if verdict.startswith("Learning pays") else "plain"
-    write_html(
-        folder / "report.html",
-        f"Comparison: {study.name}",
-        Summary(verdict, rest, mood),
-        [
-            Section("How it was compared", [Text(about)]),
-            Section("Random episodes", [*tables, *pictures]),
-            Section("Nominal case", [nominal_table(runs, unit), response]),
-        ],
-        provenance(dtype="float32"),
-    )
+
+
+def _pictures(folder: Path) -> list[Picture]:
+    captions = {
+        "costs.png": "Cost of every episode and seed; the line is the tuned law's median.",
+        "learning.png": "Learning curves: median cost of the validation episodes.",
+        "responses.png": "Responses in the nominal case: the paper's law, the tuned one, and "
+        f"the {_AGENTS} best agents at most.",
+    }
+    return [Picture(text, folder / name) for name, text in captions.items()]
+
+
+def _drawn(lines: Sequence[Line], runs: Mapping[str, Run]) -> dict[str, Run]:
+    """The runs that are drawn: more than six lie on top of each other."""
+    before = list(runs).index(TUNED)
+    agents = [line.name for line in lines if line.learned][:_AGENTS]
+    return {name: runs[name] for name in (list(runs)[before - 1], TUNED, *agents)}
 
 
 def _main_table(lines: Sequence[Line]) -> Table:
