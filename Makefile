@@ -8,7 +8,7 @@ RECIPE := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench docs clean
+.PHONY: help demo test lint bench docs docs-papers docs-examples clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,12 +29,18 @@ bench: .venv/.bench  ## Measure speed next to C, numba, SciPy and diffrax; half 
 	$(BIN)/python benchmarks/suite.py
 
 docs: .venv/.docs  ## Build the documentation: runs its code blocks, the examples, both papers
-	@mkdir -p results/docs/examples
+	@$(MAKE) --no-print-directory -j 2 docs-papers docs-examples
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+docs-papers:
+	@mkdir -p results/docs
 	$(BIN)/gearlash reproduce all --out results/docs/papers > results/docs/papers.txt
-	for script in examples/*.py; do \
+
+docs-examples:
+	@mkdir -p results/docs/examples
+	@for script in examples/*.py; do \
 	  echo $$script; $(BIN)/python $$script results/docs/examples \
 	    > results/docs/examples/$$(basename $$script .py).txt || exit 1; done
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## Remove results and caches; .venv stays
 	rm -rf results dist .pytest_cache .ruff_cache
