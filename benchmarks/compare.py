@@ -41,7 +41,8 @@ class Fall(NamedTuple):
 def ratios(folder: Path) -> dict[str, dict[str, float]]:
     """Benchmark -> name -> ratio, of all result files in a folder."""
     files = sorted(folder.glob("*.json"))
-    return {file.stem: json.loads(file.read_text("utf-8"))["ratios"] for file in files}
+    found = {file.stem: json.loads(file.read_text("utf-8")) for file in files}
+    return {name: run["ratios"] for name, run in found.items() if "ratios" in run}
 
 
 def fallen(new: Path, committed: Path) -> list[Fall]:
