@@ -14,6 +14,7 @@ from jaxsim import tree
 from jaxsim._simulate import simulate
 from jaxsim.errors import InputError
 from tuning import space
+from tuning.phase import phases
 from tuning.problem import Problem
 from tuning.scoring import score
 from tuning.spec import read_spec
@@ -191,3 +192,14 @@ def test_a_working_set_with_a_limit_on_a_quantile_is_refused() -> None:
     drives = {"count": 8, "working": 2, "spread": {"K": "5 %"}}
     with pytest.raises(InputError, match="needs limits on the worst case"):
         read_spec(study(limits=limits, drives=drives))
+
+
+def test_smoothed_models_come_first_and_the_last_phase_is_on_the_models_own() -> None:
+    what = study(smoothing=["3 mrad", 1e-3], solver="sqp")
+    found = phases(what, read_spec(what))
+    assert [getattr(p.deadzone, "width", None) for p in found] == [3e-3, 1e-3, None]
+    assert found[-1].deadzone == what.run.deadzone
+    with pytest.raises(InputError, match=r"tune\.smoothing: must be > 0"):
+        read_spec(study(smoothing=[0.0]))
+    with pytest.raises(InputError, match="sqp"):
+        read_spec(study(solver="sqq"))
