@@ -43,6 +43,7 @@ def test_the_command_leaves_a_drive_that_others_read(folder: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "4 of 4 parameters are determined by 2 logs; 1 more were held out." in done.output
     result = json.loads((out / "result.json").read_text("utf-8"))
+    assert any("plain regression of the readings gives" in words for words in result["words"])
     for row, truth in zip(result["parameters"], logs.TRUTH, strict=True):
         assert abs(row["value"] / truth - 1.0) < 1e-3
         assert row["low"] < row["value"] < row["high"]

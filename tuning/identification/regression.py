@@ -22,6 +22,7 @@ from scipy.signal import savgol_filter
 
 from jaxsim import tree
 from jaxsim.errors import InputError
+from jaxsim.law import Decentral
 from jaxsim.laws.feedforward import Feedforward
 from jaxsim.loads.inertia import Inertia
 from jaxsim.motors.geared import Geared
@@ -81,9 +82,10 @@ def regressed(problem: Problem, train: np.ndarray) -> dict[str, float]:
 
 def _plain(e: Experiment) -> bool:
     drive = e.drive
+    law = e.law.laws[0] if isinstance(e.law, Decentral) else e.law
     return (
         drive.axes == 1
-        and isinstance(e.law, Feedforward)
+        and isinstance(law, Feedforward)
         and isinstance(drive.motor[0], Ideal | Geared)
         and isinstance(drive.transmission[0], Backlash | Elastic)
         and isinstance(drive.load, Inertia)
