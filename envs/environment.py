@@ -15,12 +15,13 @@ from jaxsim.catalog import METRICS
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact, Plain
 from jaxsim.law import Measured, as_joint_law
-from jaxsim.loop import ClosedLoop, When, cast
+from jaxsim.loop import ClosedLoop, When
 from jaxsim.metric import choose, task_of
 from jaxsim.observation import Horizon, Memory, Seen, act, first_memory, observe, remember
 from jaxsim.pruned import prune
 from jaxsim.sampled import Encoders, Noisy, Sensors, TrueSpeeds
 from jaxsim.status import Status
+from jaxsim.tree import cast
 
 Scalar = Any
 

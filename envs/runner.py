@@ -14,8 +14,9 @@ environment and compose with jit, vmap, scan and grad:
 - `env.steps` steps make an episode; nothing resets by itself, that is `Runner`'s doing.
 - The reward is differentiable with respect to actions and state. Of the modes, `Smoothed()` is
   for gradients over whole episodes, `Exact()` gives right values and event times; gradients in
-  `Plain()` are wrong. Encoders round, so that gradients through them are zero: `Differences()`,
-  which have noise and delay all the same, or `TrueSpeeds()`, which have neither.
+  `Plain()` are wrong. Encoders round, and their derivative is that of the angle itself, so that
+  gradients through them are not those of the steps: use `Differences()`, which have noise and delay
+  all the same, or `TrueSpeeds()`, which have neither.
 - `env.task.channels` and `env.task.actions` give names, units, full scales and bounds.
 - `jaxsim.observation.act(env.task.actions, law, action)` is what an action does to the law;
   `state.loop` and `state.carry` are the engine's, for those who need the drive or its state.

@@ -16,13 +16,14 @@ from jaxsim.criterion import Criterion, Subject, chosen
 from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact
-from jaxsim.loop import ClosedLoop, Outputs, When, cast
+from jaxsim.loop import ClosedLoop, Outputs, When
 from jaxsim.metric import Metric, choose, task_of
 from jaxsim.parameters import is_concrete, violations
 from jaxsim.pruned import prune
 from jaxsim.run import Run
 from jaxsim.scenario import Scenario
 from jaxsim.status import Status
+from jaxsim.tree import cast
 
 
 class RunError(RuntimeError):

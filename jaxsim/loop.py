@@ -15,7 +15,6 @@ from jaxsim.law import Measured, Scalar, Supervised, as_joint_law, share
 from jaxsim.parameters import all_valid
 from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario
-from jaxsim.tree import cast as cast
 
 UNITS = {
     "reference": "rad or Nm",

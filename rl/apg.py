@@ -5,7 +5,7 @@ weights is one reverse pass through drive, contact and policy; there is nothing 
 
 What keeps it from diverging, each found to be needed:
 - contact is smoothed in training (`Smoothed`): speeds are differences of exact angles, as
-  encoders have no derivative; what is kept is chosen in exact mode, with encoders;
+  rounding has no useful derivative; what is kept is chosen in exact mode, with encoders;
 - the gradient through the state is multiplied by 0.99 per control period: through 300 periods
   of impacts it grows without bound, and its variance drowns the signal;
 - each episode's gradient is clipped before the mean: one rattling episode outweighs all others;

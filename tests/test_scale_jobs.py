@@ -15,13 +15,14 @@ from jaxsim import load, scale
 from rl import store
 from rl.spec import read_spec as read_training
 from rl.trainings import train_all
-from tuning import spread as calls_spread
-from tuning.identification import spread as fits_spread
+from tuning.identification import chunks as fit_chunks
+from tuning.identification.chunks import Chunks
 from tuning.identification.estimator import STAGES, Fits, fit
 from tuning.identification.residuals import Problem
 from tuning.problem import LANES
 from tuning.problem import Problem as Drives
 from tuning.spec import read_spec
+from tuning.workers import OnWorkers
 
 
 class Elsewhere:
@@ -56,9 +57,9 @@ def test_fits_in_chunks_are_the_same_to_the_bit(
     problem, starts, who = _fits_problem()
     how: dict[str, Any] = {"who": who, "stages": STAGES[-2:], "iterations": 4}
     whole = fit(problem, starts, **how)
-    monkeypatch.setattr(fits_spread, "_RUNS", 3)
+    monkeypatch.setattr(fit_chunks, "_RUNS", 3)
     team = Elsewhere()
-    spread = fits_spread.Spread(team, tmp_path)  # type: ignore[arg-type]
+    spread = Chunks(team, tmp_path)  # type: ignore[arg-type]
     chunks = spread(problem, starts, **how)
     assert team.computed == [0, 1]
     for name in Fits._fields:
@@ -79,9 +80,9 @@ def test_a_local_cluster_gives_the_same_bits(
     problem, starts, who = _fits_problem()
     how: dict[str, Any] = {"who": who, "stages": STAGES[-1:], "iterations": 3}
     whole = fit(problem, starts, **how)
-    monkeypatch.setattr(fits_spread, "_RUNS", 1)
+    monkeypatch.setattr(fit_chunks, "_RUNS", 1)
     with scale.Team(scale.Where(workers=workers)) as team:
-        chunks = fits_spread.Spread(team, tmp_path)(problem, starts, **how)
+        chunks = Chunks(team, tmp_path)(problem, starts, **how)
     for name in Fits._fields:
         np.testing.assert_array_equal(getattr(whole, name), getattr(chunks, name))
 
@@ -91,19 +92,19 @@ def test_an_interrupted_search_keeps_its_finished_fits(
 ) -> None:
     problem, starts, who = _fits_problem()
     how: dict[str, Any] = {"who": who, "stages": STAGES[-1:], "iterations": 1}
-    monkeypatch.setattr(fits_spread, "_RUNS", 3)
+    monkeypatch.setattr(fit_chunks, "_RUNS", 3)
 
     def stop(progress: Any) -> None:
         if progress.iteration == 1:
             raise KeyboardInterrupt
 
-    spread = fits_spread.Spread(Elsewhere(), tmp_path)  # type: ignore[arg-type]
+    spread = Chunks(Elsewhere(), tmp_path)  # type: ignore[arg-type]
     kept = spread(problem, starts, tell=stop, **how)
     assert kept.interrupted
     assert np.isfinite(kept.loss).tolist() == [True, True, True, False]
     np.testing.assert_array_equal(kept.values[3], starts[3])
     team = Elsewhere()
-    whole = fits_spread.Spread(team, tmp_path)(problem, starts, **how)  # type: ignore[arg-type]
+    whole = Chunks(team, tmp_path)(problem, starts, **how)  # type: ignore[arg-type]
     assert team.computed == [1]
     assert np.isfinite(whole.loss).all()
     with pytest.raises(KeyboardInterrupt):  # nothing to keep
@@ -118,7 +119,7 @@ def test_the_calls_of_an_evaluation_are_the_same_to_the_bit(tmp_path: Path) -> N
     assert LANES < len(points) * len(drives) < 2 * LANES
     here = Drives(study, spec).evaluate(points, drives)
     team = Elsewhere()
-    spread = calls_spread.Spread(team, tmp_path)  # type: ignore[arg-type]
+    spread = OnWorkers(team, tmp_path)  # type: ignore[arg-type]
     there = Drives(study, spec, spread)
     for _ in range(2):
         for alone, shared in zip(here, there.evaluate(points, drives), strict=True):

@@ -39,11 +39,12 @@ from jaxsim.laws.motor_position import MotorPosition
 from jaxsim.laws.pd import PD
 from jaxsim.laws.pi_torque import PITorque
 from jaxsim.laws.positive_feedback import PositiveFeedback
-from jaxsim.loop import ClosedLoop, When, cast
+from jaxsim.loop import ClosedLoop, When
 from jaxsim.sampled import Sampled
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
 from jaxsim.signals.step import Step
+from jaxsim.tree import cast
 
 # --- laws -----------------------------------------------------------------------------------------
 

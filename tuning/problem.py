@@ -14,10 +14,10 @@ import numpy as np
 
 from jaxsim import tree
 from jaxsim._simulate import simulate
-from jaxsim.loop import cast
 from jaxsim.parameters import violations
 from jaxsim.status import Status
 from jaxsim.study import Study
+from jaxsim.tree import cast
 from tuning import space
 from tuning.spec import Spec
 

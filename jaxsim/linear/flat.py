@@ -15,9 +15,10 @@ from jaxsim.hybrid import Exact, Surface, Switch
 from jaxsim.law import Decentral
 from jaxsim.laws.feedforward import Feedforward
 from jaxsim.linear.state_space import per_axis
-from jaxsim.loop import ClosedLoop, Outputs, State, When, cast
+from jaxsim.loop import ClosedLoop, Outputs, State, When
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signals.constant import Constant
+from jaxsim.tree import cast
 
 _NOT_LINEAR = ("P_loss", "contact")  # outputs that are quadratic or discrete
 

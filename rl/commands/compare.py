@@ -93,7 +93,8 @@ def _show(lines: Any, words: list[str], console: Any) -> None:
     from rl.comparison import TUNED
 
     title = "Median cost over the test episodes"
-    shown = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    look = {"box": box.SIMPLE_HEAD, "pad_edge": False, "padding": (0, 1, 0, 0)}
+    shown = Table(title=title, title_justify="left", **look)
     shown.add_column("law", no_wrap=True)
     for name in ("cost", "of tuned", "95 %", "wins %", "CPU s"):
         shown.add_column(name, justify="right", no_wrap=True)

@@ -30,8 +30,8 @@ def command(
     from jaxsim import configure, load
     from jaxsim.provenance import make_folder
     from jaxsim.scale import Team, Where
+    from tuning.identification.chunks import Chunks
     from tuning.identification.spec import read_spec
-    from tuning.identification.spread import Spread
 
     configure()
     what = load(study)
@@ -42,7 +42,7 @@ def command(
     console = Console()
     try:
         with Team(Where(scheduler, workers)) as team:
-            outcome, rivals = _identify(what, spec, console, Spread(team, chunks))
+            outcome, rivals = _identify(what, spec, console, Chunks(team, chunks))
     except KeyboardInterrupt:
         console.print("Interrupted: finished fits are kept; --resume goes on.", style="yellow")
         raise typer.Exit(130) from None

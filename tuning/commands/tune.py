@@ -39,7 +39,7 @@ def command(
     from jaxsim.study import load
     from tuning.session import Session
     from tuning.spec import read_spec
-    from tuning.spread import sharing
+    from tuning.workers import sharing
 
     what = load(study, law=law)
     spec = read_spec(what, starts=starts, seed=seed)

@@ -41,7 +41,7 @@ class _Stopped(KeyboardInterrupt):
         self.fits = fits
 
 
-class Spread:
+class Chunks:
     """`estimator.fit`, to be called like it, whose chunks of fits a team computes.
 
     A fit's numbers do not depend on those beside it, so neither do they on the chunks. Without
@@ -153,4 +153,4 @@ def _digest(job: _Job) -> str:
     return seen.hexdigest()
 
 
-__all__ = ["Spread"]
+__all__ = ["Chunks"]

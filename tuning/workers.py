@@ -23,7 +23,7 @@ def sharing(where: scale.Where, folder: Path, *, resume: bool) -> Iterator[Share
     if not resume:
         shutil.rmtree(folder, ignore_errors=True)  # of another search
     with scale.Team(where) as team:
-        yield None if team.here else Spread(team, folder)
+        yield None if team.here else OnWorkers(team, folder)
     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -35,7 +35,7 @@ class _Job(NamedTuple):
     drives: np.ndarray
 
 
-class Spread:
+class OnWorkers:
     """A `Share` for problems: each call of 64 runs is a chunk, kept until the next evaluation.
 
     So a search that was stopped in the middle of an evaluation goes on in its middle.
@@ -84,4 +84,4 @@ def _digest(problem: Problem, job: _Job) -> str:
     return seen.hexdigest()[:16]
 
 
-__all__ = ["Spread", "sharing"]
+__all__ = ["OnWorkers", "sharing"]
