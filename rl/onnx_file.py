@@ -76,6 +76,7 @@ def _graph(network: Network) -> Any:
     tensors = [
         numpy_helper.from_array(np.asarray(value, np.float32), name)
         for name, value in constants.items()
+        if any(name in node.input for node in nodes)  # onnxruntime warns of the others
     ]
     takes, *_, gives = network.sizes
     ends = [

@@ -281,3 +281,5 @@ def test_what_no_target_can_run_is_refused(tmp_path: Path) -> None:
         sampled_at(law.law, None)
     with pytest.raises(InputError, match="law's own period"):
         sampled_at(law, 1e-3)
+    with pytest.raises(InputError, match="must divide the policy's period"):
+        sampled_at(policy(), 0.4 * PERIOD)

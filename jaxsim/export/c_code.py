@@ -25,7 +25,12 @@ def sampled_at(law: Any, period: float | None) -> Sampled:
     Raises: InputError where no period is given, or another than the law's own.
     """
     if isinstance(law, Policy):
-        return Sampled(law, law.period if period is None else period, sensors=law.sensors)
+        every = law.period if period is None else period
+        turns = max(1, round(law.period / every))
+        if abs(turns * every - law.period) > 1e-9 * law.period:
+            rule = f"must divide the policy's period, {law.period:g} s"
+            raise InputError("--period", rule, period, "leave it out, or give a part of it")
+        return Sampled(law, every, sensors=law.sensors)
     if isinstance(law, Sampled):
         if period is not None and abs(period - law.period) > 1e-9 * law.period:
             rule = f"must be the law's own period, {law.period:g} s"
