@@ -58,7 +58,7 @@ def test_every_format_gives_the_same_columns(ending: str, tmp_path: Path) -> Non
 def test_records_are_told_by_row_and_columns_of_arrays_by_index(tmp_path: Path) -> None:
     path = tmp_path / "many.npz"
     np.savez(path, q=np.arange(6.0).reshape(2, 3), mass=np.array([1.0, 2.0]))
-    assert list(read_log(path, 1).columns) == ["q"]
+    assert read_log(path, 1).column("mass").tolist() == [2.0]
     np.testing.assert_array_equal(read_log(path, 1).column("q"), [3.0, 4.0, 5.0])
     np.testing.assert_array_equal(read_log(path).column("q[2]"), [2.0, 5.0])
     with pytest.raises(InputError, match="must be a record"):

@@ -21,14 +21,23 @@ class Reader(abc.ABC):
 
     @abc.abstractmethod
     def read(self, path: Path) -> dict[str, np.ndarray]:
-        """The columns of a file by name: (n,) each, or (rows, n) where it holds several records.
+        """The columns of a file by name: (n,) each, or (records, n) where it holds several.
+
+        Text may be among what records have one of: it serves to choose them.
 
         Raises: InputError, or what the library raises (it is reported with the file's name).
         """
 
 
+class File(NamedTuple):
+    """A file as its reader gives it: columns (n,), or arrays of records (records, n), by name."""
+
+    path: Path
+    arrays: dict[str, np.ndarray]
+
+
 class Log(NamedTuple):
-    """A file as it was read. columns: name -> (n,) float64."""
+    """A file, or one record of it. columns: name -> (n,) float64."""
 
     path: Path
     columns: dict[str, np.ndarray]
@@ -47,14 +56,10 @@ class Log(NamedTuple):
         return self.columns[name]
 
 
-def read_log(path: Path, row: int | None = None) -> Log:
-    """The columns of a file, in float64.
+def read_file(path: Path) -> File:
+    """All that a reader finds in a file.
 
-    row: which record of arrays (records, samples); without it a two-dimensional array NAME
-    (samples, k) becomes the columns NAME[0] ... NAME[k-1].
-
-    Raises: InputError for a missing file, an unknown ending, a file that cannot be read or is
-    empty, and a row that is not there.
+    Raises: InputError for a missing file, an unknown ending, and a file that cannot be read.
     """
     if not path.is_file():
         raise InputError(str(path), "must be a file", "nothing there", "check the path")
@@ -62,29 +67,44 @@ def read_log(path: Path, row: int | None = None) -> Log:
     if path.suffix.lower() not in readers:
         raise InputError.unknown(f"{path.name}: ending", path.suffix, readers)
     try:
-        raw = readers[path.suffix.lower()]().read(path)
+        return File(path, readers[path.suffix.lower()]().read(path))
     except InputError:
         raise
     except Exception as error:  # each library has classes of its own for a broken file
         why = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path.name, "must be readable", why, "check the file") from None
-    columns = _flat(raw, row, path)
-    if not columns:
-        raise InputError(path.name, "must hold columns of numbers", "none", "check the file")
-    return Log(path, columns)
 
 
-def _flat(raw: dict[str, np.ndarray], row: int | None, path: Path) -> dict[str, np.ndarray]:
+def log_of(file: File, row: int | None = None) -> Log:
+    """The columns of a file, in float64.
+
+    row: which record of arrays (records, samples); what a record has one number of is a column of
+    one. Without it a two-dimensional array NAME (samples, k) becomes NAME[0] ... NAME[k-1].
+
+    Raises: InputError for a file without numbers, and a row that is not there.
+    """
     columns: dict[str, np.ndarray] = {}
-    for name, values in raw.items():
+    for name, values in file.arrays.items():
+        if values.dtype.kind not in "biuf":
+            continue  # text serves to choose records
         if row is not None:
             if not -len(values) <= row < len(values):
                 got = f"{row} of {len(values)}"
-                raise InputError(f"{path.name}: row", "must be a record", got, "name another")
+                raise InputError(f"{file.path.name}: row", "must be a record", got, "name another")
             values = values[row]
+        alone = np.ndim(values) == 0
         values = np.squeeze(np.asarray(values, float))
-        if values.ndim == 1:
+        if alone:
+            columns[name] = values[None]
+        elif values.ndim == 1:
             columns[name] = values
         elif values.ndim == 2:
             columns |= {f"{name}[{i}]": column for i, column in enumerate(values.T)}
-    return columns
+    if not columns:
+        raise InputError(file.path.name, "must hold columns of numbers", "none", "check the file")
+    return Log(file.path, columns)
+
+
+def read_log(path: Path, row: int | None = None) -> Log:
+    """`log_of` a file that is read for it."""
+    return log_of(read_file(path), row)
