@@ -125,7 +125,10 @@ def test_the_calls_of_an_evaluation_are_the_same_to_the_bit(tmp_path: Path) -> N
         for alone, shared in zip(here, there.evaluate(points, drives), strict=True):
             np.testing.assert_array_equal(alone, shared)
         assert team.computed == list(range(2 * len(study.scenarios)))  # the second time: on disk
-    there.evaluate(points[:1], drives[:3])
+    alike = (p.evaluate(points[:1], drives[:3], slopes=False) for p in (Drives(study, spec), there))
+    for alone, shared in zip(*alike, strict=True):
+        np.testing.assert_array_equal(alone, shared)
+    assert team.computed[-len(study.scenarios) :] == list(range(len(study.scenarios)))
     assert len(list(tmp_path.iterdir())) == 1  # the last evaluation is kept, no other
 
 

@@ -229,7 +229,9 @@ def test_resume_needs_the_checkpoint_of_the_same_problem(finished: Session, tmp_
 def test_a_start_that_cannot_be_evaluated_anywhere_is_said_so(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def never(self: Problem, points: np.ndarray, drives: np.ndarray) -> Outcome:
+    def never(
+        self: Problem, points: np.ndarray, drives: np.ndarray, *, slopes: bool = True
+    ) -> Outcome:
         shape = (len(points), len(drives), 1, 3)
         values = np.full(shape, np.inf)
         return Outcome(values, np.zeros((*shape, 2)), np.zeros(shape[:3], int))

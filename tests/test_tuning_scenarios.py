@@ -65,7 +65,9 @@ def test_scenarios_are_those_of_single_runs_and_count_in_limits() -> None:
 
 
 def test_a_failure_is_named_with_its_scenario(monkeypatch: Any, tmp_path: Path) -> None:
-    def fails(self: Problem, points: np.ndarray, drives: np.ndarray) -> Outcome:
+    def fails(
+        self: Problem, points: np.ndarray, drives: np.ndarray, *, slopes: bool = True
+    ) -> Outcome:
         shape = (len(points), len(drives), 3)
         values = np.ones((*shape, 3))
         values[:, 1, 2, 0] = np.inf

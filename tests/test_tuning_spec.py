@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from tuning_cases import study
 from jaxsim import tree
 from jaxsim._simulate import simulate
 from jaxsim.errors import InputError
+from jaxsim.study import Study, from_table, load
 from tuning import space
 from tuning.phase import phases
 from tuning.problem import Problem
@@ -135,6 +137,69 @@ def test_a_list_of_drives_is_the_study_and_each_of_them(form: str, tmp_path: Pat
     wanted = [(7.8e-3, 8.78e-4), (7.1e-3, 8e-4), (8.2e-3, 9e-4)]
     np.testing.assert_allclose(spec.drives, wanted, rtol=1e-12)
     assert spec.screen == 3
+
+
+def late(drives: dict[str, Any]) -> Study:
+    """A sampled law without damping, up to the first impact; its study has no delay."""
+    table = copy.deepcopy(load("bench_sampled").table)
+    table["law"] |= {"delay": 0.0, "sensors": {"type": "true_speeds"}}
+    table["law"]["law"]["law"][1] = {"type": "linear_damping", "K_B": 0.0}
+    table["scenario"]["duration"] = 0.03
+    table["objective"] = {"minimise": {"first_contact_s": 1.0, "entry_speed_rad_s": 1.0}}
+    table["tune"] = {"free": {"K_P": {"lower": 5.0, "upper": 20.0}}, "drives": drives}
+    return from_table(table, Path(), "late")
+
+
+DELAYS = ["0 us", "600 us"]
+
+
+@pytest.mark.parametrize(
+    "drives",
+    [
+        {"grid": {"half_gap": [7e-3, 8e-3], "delay": DELAYS}},
+        {"list": [{"half_gap": g, "law.delay": d} for g in (7e-3, 8e-3) for d in DELAYS]},
+        {"count": 9, "spread": {"half_gap": "20 %", "delay": DELAYS}},
+    ],
+)
+def test_a_delay_that_differs_moves_the_first_contact_by_itself(drives: dict[str, Any]) -> None:
+    """Before it the load rests and the law feeds nothing back: all is the same, only later."""
+    what = late(drives)
+    spec = read_spec(what)
+    problem = Problem(what, spec)
+    delays = spec.drives[:, 1]
+    np.testing.assert_allclose(delays, 2e-4 * np.round(delays / 2e-4), atol=1e-12)
+    assert len(np.unique(delays)) == len(problem.laws) > 1
+    prompt = Problem(what, spec._replace(drives=spec.drives * [1.0, 0.0]))
+    z, every = space.to_unit(spec.free, np.array([[8.0], [12.0]])), np.arange(spec.count)
+    now, later = (p.evaluate(z, every, slopes=False).values[:, :, 0] for p in (prompt, problem))
+    np.testing.assert_allclose(later[..., 0], now[..., 0] + delays, rtol=1e-9)
+    np.testing.assert_allclose(later[..., 1], now[..., 1], rtol=1e-9)
+    scored = score(problem, [np.array([12.0])], every, what.run.dt, problem.metrics)[0]
+    np.testing.assert_allclose(scored.values["first_contact_s"][:, 0, 0], later[1, :, 0], rtol=1e-9)
+    if "grid" in drives:
+        outcome = problem.evaluate(z, every)
+        np.testing.assert_allclose(outcome.values[:, :, 0], later, rtol=1e-9)
+        step = np.array([[1e-4]])
+        up, down = (problem.evaluate(z + s * step, every, slopes=False).values for s in (1, -1))
+        np.testing.assert_allclose(outcome.slopes[..., 0], (up - down) / 2e-4, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("drives", "message"),
+    [
+        ({"grid": {"delay": ["100 us"]}}, r"grid\.delay: must be a multiple of dt"),
+        ({"grid": {"delay": ["-200 us"]}}, r"grid\.delay: must be >= 0"),
+        ({"grid": {"delay": [{"K": 1}]}}, r"grid\.delay"),
+        ({"list": [{"delay": ["0 us", "200 us"]}]}, r"list\[0\]\.delay: must be one number"),
+        ({"count": 5, "spread": {"delay": ["0 us", "300 us"]}}, r"delay: must be a multiple of dt"),
+        ({"count": 5, "spread": {"delay": ["0 s", "1 s"]}}, r"delay: must be at most 32 periods"),
+    ],
+)
+def test_delays_that_a_sampled_law_cannot_have(drives: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_spec(late(drives))
+    with pytest.raises(InputError, match="needs a sampled law"):
+        read_spec(study(drives=drives))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ import numpy as np
 from jaxsim import batch, plots
 from jaxsim._simulate import simulate
 from jaxsim.objective import Objective
-from tuning import space
 from tuning.certificate import Case
 from tuning.result import Result
 from tuning.scoring import Scores
@@ -72,8 +71,8 @@ def _follows(session: Session) -> str:
 
 def _both(session: Session, result: Result, index: int, scenario: int) -> Any:
     """The run of a drive in a scenario under the study's law and the tuned one."""
-    study, free = session.study, session.spec.free
-    laws = [space.with_gains(study.law, free, g) for g in (result.initial, result.gains)]
+    study = session.study
+    laws = [session.problem.law(index, g) for g in (result.initial, result.gains)]
     return simulate(
         session.problem.drive(index),
         batch.stack(laws),

@@ -1,4 +1,4 @@
-"""All metrics of all drives under many laws at once, with their Jacobians."""
+"""All metrics of all drives under many laws at once, with or without their Jacobians."""
 
 from __future__ import annotations
 
@@ -6,24 +6,29 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxsim import tree
+from jaxsim import batch, tree
 from jaxsim._simulate import simulate
 from jaxsim.parameters import violations
+from jaxsim.run import Run
+from jaxsim.scenario import Scenario
 from jaxsim.status import Status
 from jaxsim.study import Study
 from jaxsim.tree import cast
 from tuning import space
+from tuning.drive_set import DELAY, with_delay
 from tuning.spec import Spec
 
 # Runs that one compiled call makes. A search changes its number of starts and drives as it goes;
 # calls of one size compile once (7 s), and a call of 64 is as fast per run as one of 256.
 LANES = 64
+# Runs without slopes in a call, which keeps both cores at work from here on.
+ROWS = 256
 
 
 class Outcome(NamedTuple):
@@ -39,8 +44,19 @@ class Outcome(NamedTuple):
     status: np.ndarray
 
 
-# All calls of an evaluation: values, slopes and status of each, in their order.
-Share = Callable[["Problem", np.ndarray, np.ndarray], list[list[np.ndarray]]]
+class Share(Protocol):
+    """Who makes the calls of an evaluation: values, slopes and status of each, in their order."""
+
+    def __call__(
+        self, problem: Problem, points: np.ndarray, drives: np.ndarray, *, slopes: bool
+    ) -> list[list[np.ndarray]]: ...
+
+
+class Part(NamedTuple):
+    """Runs that one call makes: the law by its place among `laws`, and their places (lanes,)."""
+
+    law: int
+    rows: np.ndarray
 
 
 class Problem:
@@ -48,6 +64,7 @@ class Problem:
 
     drives: (count, spreads), values of the uncertain parameters; the first is the study's drive.
     scenarios: names. metrics: those of the objective. share: who makes the calls of an evaluation.
+    laws: the study's, once per delay that drives have; law_of (count,): the place of each drive's.
     """
 
     def __init__(self, study: Study, spec: Spec, share: Share | None = None) -> None:
@@ -58,13 +75,29 @@ class Problem:
         self.metrics = spec.objective.metrics()
         most = max(spec.count, spec.screen * spec.starts)
         self._lanes = min(LANES, most)
+        self._own = [i for i, s in enumerate(spec.spreads) if s.path != DELAY]
+        self.laws, self.law_of = self._delayed()
+
+    def _delayed(self) -> tuple[tuple[Any, ...], np.ndarray]:
+        """A delay decides what is compiled: it is the law that has it, and each has a program."""
+        late = [i for i, s in enumerate(self.spec.spreads) if s.path == DELAY]
+        if not late:
+            return (self.study.law,), np.zeros(len(self.drives), int)
+        dt = self.study.run.dt
+        steps, places = np.unique(np.round(self.drives[:, late[0]] / dt), return_inverse=True)
+        return tuple(with_delay(self.study.law, dt * n) for n in steps), places.reshape(-1)
 
     def drive(self, index: int) -> Any:
         """The drive of one row of `drives`."""
-        values = self.drives[index]
-        return tree.replace(
-            self.study.drive, {s.path: v for s, v in zip(self.spec.spreads, values, strict=True)}
-        )
+        return tree.replace(self.study.drive, self._uncertain(self.drives[index]))
+
+    def law(self, index: int, gains: np.ndarray) -> Any:
+        """The law of one row of `drives`, with these gains (P,)."""
+        return space.with_gains(self.laws[self.law_of[index]], self.spec.free, gains)
+
+    def _uncertain(self, values: Any) -> dict[str, Any]:
+        """The parameters of the drive by path that values (..., spreads) set."""
+        return {self.spec.spreads[i].path: values[..., i] for i in self._own}
 
     def label(self, index: int, scenario: int | None = None) -> str:
         """A drive in words, e.g. "drive 17 (half_gap=0.0085, K=270)", and one of its scenarios.
@@ -85,96 +118,138 @@ class Problem:
         return "; ".join(broken) or Status(status).words
 
     @cached_property
-    def runs(self) -> list[Callable[..., Any]]:
-        """Per scenario the compiled call on (lanes, P) gains and (lanes, spreads) drives.
+    def _runs(self) -> dict[tuple[int, int], Callable[..., Any]]:
+        """Per scenario and law the compiled call on (lanes, P) gains and (lanes, spreads) drives.
 
         Scenarios of one structure (kinds of signals, duration) share it.
         """
         gains = jnp.zeros((self._lanes, len(self.spec.free)))
         drives = jnp.zeros((self._lanes, len(self.spec.spreads)))
         compiled: dict[Any, Any] = {}
-        runs = []
-        for scenario in self.study.scenarios.values():
+        runs = {}
+        for at, scenario in enumerate(self.study.scenarios.values()):
             own = cast(scenario, jnp.dtype(self.study.run.dtype))
-            kind = jax.tree.structure(own)
-            if kind not in compiled:
-                call = jax.jit(jax.vmap(self._one, in_axes=(0, 0, None)))
-                compiled[kind] = call.lower(gains, drives, own).compile()
-            runs.append(partial(_call, compiled[kind], own))
+            for place, law in enumerate(self.laws):
+                kind = jax.tree.structure(own), place
+                if kind not in compiled:
+                    call = jax.jit(jax.vmap(partial(self._one, law), in_axes=(0, 0, None)))
+                    compiled[kind] = call.lower(gains, drives, own).compile()
+                runs[at, place] = partial(_call, compiled[kind], own)
         return runs
 
-    def _one(self, gains: Any, drive: Any, scenario: Any) -> tuple[Any, Any, Any]:
+    def _one(self, law: Any, gains: Any, drive: Any, scenario: Any) -> tuple[Any, Any, Any]:
         """Values, Jacobian and status of one run.
 
         In forward mode: for 64 runs and 4 gains 0.29 s of CPU, against 0.97 s in reverse.
         """
 
         def numbers(p: Any) -> tuple[Any, Any]:
-            values, status = self._values(p, drive, scenario)
-            return values, (values, status)
+            run = self._run(
+                tree.replace(self.study.drive, self._uncertain(drive)),
+                space.with_gains(law, self.spec.free, p),
+                scenario,
+            )
+            values = self._columns(run)
+            return values, (values, run.status)
 
         slopes, (values, status) = jax.jacfwd(numbers, has_aux=True)(gains)
         return values, slopes, status
 
-    def _values(self, gains: Any, drive: Any, scenario: Any) -> tuple[Any, Any]:
-        """Metrics (axes, metrics) and status of one run."""
-        study, spec = self.study, self.spec
-        uncertain = {s.path: drive[i] for i, s in enumerate(spec.spreads)}
-        run = simulate(
-            tree.replace(study.drive, uncertain),
-            space.with_gains(study.law, spec.free, gains),
-            scenario,
-            dt=study.run.dt,
-            deadzone=study.run.deadzone,
-            metrics=self.metrics,
-            store=None,
-            dtype=study.run.dtype,
-            throw=False,
-        )
-        columns = [jnp.atleast_1d(run.metrics[name]) for name in self.metrics]
-        return jnp.stack(columns, axis=-1), run.status
+    def _columns(self, run: Run) -> Any:
+        """Metrics (..., axes, metrics)."""
+        axes = self.study.drive.axes
+        found = [jnp.asarray(run.metrics[name]) for name in self.metrics]
+        return jnp.stack([v if axes > 1 else v[..., None] for v in found], axis=-1)
 
-    def evaluate(self, points: np.ndarray, drives: np.ndarray) -> Outcome:
-        """Laws at unit coordinates (n, P) on drives (d,) by index, each with each."""
-        values, slopes, status = self._all(points, drives)
-        shape = (len(points), len(drives))
-        count, axes = values.shape[1:3]
-        values = values.reshape(*shape, count * axes, *values.shape[3:])
-        slopes = slopes.reshape(*values.shape, -1)
-        scale = space.slope(self.spec.free, points)[:, None, None, None, :]
-        return Outcome(values, slopes * scale, status.reshape(*shape, count))
+    def _run(self, drive: Any, law: Any, scenario: Scenario, **options: Any) -> Run:
+        """A run, or a batch of them, as the study has it unless told otherwise."""
+        run = self.study.run
+        usual = {"dt": run.dt, "deadzone": run.deadzone, "metrics": self.metrics}
+        fixed = {"store": None, "dtype": run.dtype, "throw": False}
+        return simulate(drive, law, scenario, **(usual | options), **fixed)
 
-    def _all(self, points: np.ndarray, drives: np.ndarray) -> list[np.ndarray]:
-        """Arrays (runs, scenarios, ...) of all calls, without what filled them up."""
-        parts = self.share(self, points, drives)
+    def batch(
+        self, place: int, gains: np.ndarray, drives: np.ndarray, scenario: str, **options: Any
+    ) -> Run:
+        """Runs of one of the `laws` under gains (n, P) on drives (n,) by index, as one batch.
+
+        options: dt, deadzone and metrics other than those of the search.
+        """
+        law = batch.spread(self.laws[place], **space.leaves(self.spec.free, gains))
+        drive, uncertain = self.study.drive, self._uncertain(self.drives[drives])
+        if uncertain:
+            drive = batch.spread(drive, **uncertain)
+        return self._run(drive, law, self.study.scenarios[scenario], **options)
+
+    def evaluate(self, points: np.ndarray, drives: np.ndarray, *, slopes: bool = True) -> Outcome:
+        """Laws at unit coordinates (n, P) on drives (d,) by index, each with each.
+
+        Without slopes (their last axis is empty) it costs a twentieth.
+        """
+        parts = self.share(self, points, drives, slopes=slopes)
+        rows = np.concatenate([part.rows for part in self._parts(points, drives, slopes)])
+        first = np.unique(rows, return_index=True)[1]  # calls are filled up with the last run
         whole = [np.concatenate([p[k] for p in parts]) for k in range(3)]
-        shape, count = (len(self.scenarios), -1), len(points) * len(drives)
-        return [np.moveaxis(a.reshape(*shape, *a.shape[1:])[:, :count], 0, 1) for a in whole]
+        count, shape = len(self.scenarios), (len(points), len(drives))
+        values, rates, status = (
+            np.moveaxis(a.reshape(count, len(rows), *a.shape[1:])[:, first], 0, 1) for a in whole
+        )
+        values = values.reshape(*shape, -1, values.shape[-1])
+        rates = rates.reshape(*values.shape, rates.shape[-1])
+        if slopes:
+            rates = rates * space.slope(self.spec.free, points)[:, None, None, None, :]
+        return Outcome(values, rates, status.reshape(*shape, count))
 
-    def calls(self, points: np.ndarray, drives: np.ndarray) -> int:
+    def _parts(self, points: np.ndarray, drives: np.ndarray, slopes: bool) -> list[Part]:
+        """All runs of a scenario in calls of one size; the last of each law is filled up."""
+        law, width = np.tile(self.law_of[drives], len(points)), self._lanes if slopes else ROWS
+        parts = []
+        for place in np.unique(law).tolist():
+            rows = np.flatnonzero(law == place)
+            most = -(-len(rows) // width) * width
+            full = rows[np.minimum(np.arange(most), len(rows) - 1)]
+            parts += [Part(place, own) for own in full.reshape(-1, width)]
+        return parts
+
+    def calls(self, points: np.ndarray, drives: np.ndarray, *, slopes: bool) -> int:
         """How many calls of one size an evaluation takes, scenario by scenario."""
-        return len(self.scenarios) * -(-len(points) * len(drives) // self._lanes)
+        return len(self.scenarios) * len(self._parts(points, drives, slopes))
 
-    def call(self, points: np.ndarray, drives: np.ndarray, k: int) -> list[np.ndarray]:
-        """Values, slopes and status of call k; the last of a scenario is filled up."""
-        scenario, part = divmod(k, self.calls(points, drives) // len(self.scenarios))
-        rows = np.arange(part * self._lanes, (part + 1) * self._lanes)
-        point, drive = np.divmod(np.minimum(rows, len(points) * len(drives) - 1), len(drives))
-        gains = jnp.asarray(space.to_gains(self.spec.free, points)[point])
-        own = jnp.asarray(self.drives[drives[drive]])
-        return [np.asarray(v) for v in self.runs[scenario](gains, own)]
+    def call(
+        self, points: np.ndarray, drives: np.ndarray, k: int, *, slopes: bool
+    ) -> list[np.ndarray]:
+        """Values, slopes and status of call k."""
+        parts = self._parts(points, drives, slopes)
+        scenario, at = divmod(k, len(parts))
+        point, drive = np.divmod(parts[at].rows, len(drives))
+        gains, own = space.to_gains(self.spec.free, points)[point], drives[drive]
+        if slopes:
+            run = self._runs[scenario, parts[at].law]
+            return [np.asarray(v) for v in run(jnp.asarray(gains), jnp.asarray(self.drives[own]))]
+        found = self.batch(parts[at].law, gains, own, self.scenarios[scenario])
+        values = np.asarray(self._columns(found))
+        return [values, np.empty((*values.shape, 0)), np.asarray(found.status)]
+
+    def compile(self) -> None:
+        """Once, before threads ask for it."""
+        _ = self._runs
 
 
-def in_threads(problem: Problem, points: np.ndarray, drives: np.ndarray) -> list[list[np.ndarray]]:
+def in_threads(
+    problem: Problem, points: np.ndarray, drives: np.ndarray, *, slopes: bool
+) -> list[list[np.ndarray]]:
     """All calls of an evaluation, over the cores.
 
     A call of XLA keeps one core busy: 128 runs take 1.45 s in a row and 0.98 s in threads (with 8
-    other processes on the 2 cores).
+    other processes on the 2 cores). A batch of `ROWS` without slopes is over the cores by itself.
     """
-    _ = problem.runs  # compiled once, before threads ask for them
+    calls = range(problem.calls(points, drives, slopes=slopes))
+    call = partial(problem.call, points, drives, slopes=slopes)
+    if not slopes:
+        return [call(k) for k in calls]
+    problem.compile()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        calls = range(problem.calls(points, drives))
-        return list(pool.map(partial(problem.call, points, drives), calls))
+        return list(pool.map(call, calls))
 
 
 def _call(compiled: Any, scenario: Any, gains: Any, drives: Any) -> Any:

@@ -6,16 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxsim import batch
-from jaxsim._simulate import simulate
 from jaxsim.catalog import METRICS
-from jaxsim.hybrid import Deadzone, Exact
+from jaxsim.hybrid import Exact
 from jaxsim.objective import Goal, Limit, Objective
-from tuning import space
-from tuning.problem import Outcome, Problem
-
-# Runs in a batch of values without slopes: from here on both cores are at work.
-_ROWS = 256
+from tuning.problem import Problem
 
 
 class Scores(NamedTuple):
@@ -74,27 +68,6 @@ def score(
     return [whole.part(slice(k * len(drives), (k + 1) * len(drives))) for k in range(len(laws))]
 
 
-def values_only(problem: Problem, points: np.ndarray, drives: np.ndarray) -> Outcome:
-    """As `Problem.evaluate`, without slopes (their last axis is empty), at a twentieth of the cost.
-
-    In batches of one size, so that a search that loses starts compiles once.
-    """
-    gains = np.repeat(space.to_gains(problem.spec.free, points), len(drives), axis=0)
-    own, count = np.tile(drives, len(points)), len(points) * len(drives)
-    rows = np.minimum(np.arange(-(-count // _ROWS) * _ROWS), count - 1).reshape(-1, _ROWS)
-    run = problem.study.run
-    parts = [
-        _measured(problem, gains[r], own[r], run.dt, problem.metrics, run.deadzone) for r in rows
-    ]
-    shape = (len(points), len(drives))
-    values = np.stack(
-        [np.concatenate([p.values[name] for p in parts])[:count] for name in problem.metrics], -1
-    )
-    values = values.reshape(*shape, -1, len(problem.metrics))
-    status = np.concatenate([p.status for p in parts])[:count].reshape(*shape, -1)
-    return Outcome(values, np.empty((*values.shape, 0)), status)
-
-
 def fresh(
     problem: Problem, gains: np.ndarray, drives: np.ndarray, dt: float, metrics: Any
 ) -> Scores:
@@ -104,36 +77,20 @@ def fresh(
     """
     own = problem.study.run.deadzone
     exact = own if isinstance(own, Exact) else Exact()
-    return _measured(problem, gains, drives, dt, metrics, exact)
+    laws = problem.law_of[drives]
+    rows = [np.flatnonzero(laws == place) for place in np.unique(laws)]
+    options = {"dt": dt, "deadzone": exact, "metrics": metrics}
+    parts = [_alike(problem, int(laws[r[0]]), gains[r], drives[r], options) for r in rows]
+    back = np.argsort(np.concatenate(rows))
+    values = {k: np.concatenate([p.values[k] for p in parts])[back] for k in parts[0].values}
+    return Scores(values, np.concatenate([p.status for p in parts])[back])
 
 
-def _measured(
-    problem: Problem,
-    gains: np.ndarray,
-    drives: np.ndarray,
-    dt: float,
-    metrics: Any,
-    deadzone: Deadzone,
+def _alike(
+    problem: Problem, place: int, gains: np.ndarray, drives: np.ndarray, options: dict[str, Any]
 ) -> Scores:
-    study, spec = problem.study, problem.spec
-    law, drive = batch.spread(study.law, **space.leaves(spec.free, gains)), study.drive
-    if spec.spreads:
-        own = problem.drives[drives]
-        drive = batch.spread(drive, **{s.path: own[:, i] for i, s in enumerate(spec.spreads)})
-    runs = [
-        simulate(
-            drive,
-            law,
-            scenario,
-            dt=dt,
-            deadzone=deadzone,
-            metrics=metrics,
-            store=None,
-            dtype=study.run.dtype,
-            throw=False,
-        )
-        for scenario in study.scenarios.values()
-    ]
+    """Those of one of the laws."""
+    runs = [problem.batch(place, gains, drives, name, **options) for name in problem.scenarios]
     shape = (len(gains), -1)
     values = {
         name: np.stack([np.asarray(run.metrics[name], float).reshape(shape) for run in runs], 1)

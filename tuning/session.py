@@ -8,7 +8,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,6 @@ from tuning import checkpoint, space, working
 from tuning.local import Local, localise
 from tuning.phase import FULL, Phase, phases
 from tuning.problem import Outcome, Problem, Share
-from tuning.scoring import values_only
 from tuning.solver import FAILED, RUNNING, SOLVERS, SPENT, Solver, State
 from tuning.spec import Spec
 
@@ -251,8 +249,7 @@ class Session:
         return self._locals(self._evaluate(points))
 
     def _evaluate(self, points: np.ndarray) -> Outcome:
-        look = self._model.evaluate if self.solver.slopes else partial(values_only, self._model)
-        return look(points, self.drives)
+        return self._model.evaluate(points, self.drives, slopes=self.solver.slopes)
 
     def _locals(self, outcome: Outcome) -> list[Local | str]:
         """The objective at each point, or why it has none there."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxsim import scale
-from tuning.problem import LANES, Problem, Share
+from tuning.problem import LANES, ROWS, Problem, Share
 
 
 @contextlib.contextmanager
@@ -33,10 +33,11 @@ class _Job(NamedTuple):
     problem: bytes
     points: np.ndarray
     drives: np.ndarray
+    slopes: bool
 
 
 class OnWorkers:
-    """A `Share` for problems: each call of 64 runs is a chunk, kept until the next evaluation.
+    """A `Share` for problems: each call is a chunk, kept until the next evaluation.
 
     So a search that was stopped in the middle of an evaluation goes on in its middle.
     """
@@ -46,12 +47,12 @@ class OnWorkers:
         self._last: Path | None = None
 
     def __call__(
-        self, problem: Problem, points: np.ndarray, drives: np.ndarray
+        self, problem: Problem, points: np.ndarray, drives: np.ndarray, *, slopes: bool
     ) -> list[list[np.ndarray]]:
-        job = _Job(pickle.dumps((problem.study, problem.spec)), points, drives)
+        job = _Job(pickle.dumps((problem.study, problem.spec)), points, drives, slopes)
         folder = self.folder / _digest(problem, job)
         folder.mkdir(parents=True, exist_ok=True)
-        chunks = problem.calls(points, drives)
+        chunks = problem.calls(points, drives, slopes=slopes)
         self.team.compute(work, job, chunks, folder)
         parts = [scale.read(folder, k) for k in range(chunks)]
         if self._last not in (None, folder):
@@ -65,7 +66,8 @@ _NAMES = ("values", "slopes", "status")
 
 def work(job: _Job, k: int) -> scale.Arrays:
     """One call."""
-    return dict(zip(_NAMES, _problem(job.problem).call(job.points, job.drives, k), strict=True))
+    found = _problem(job.problem).call(job.points, job.drives, k, slopes=job.slopes)
+    return dict(zip(_NAMES, found, strict=True))
 
 
 @lru_cache(maxsize=1)
@@ -78,7 +80,9 @@ def _problem(pickled: bytes) -> Problem:
 
 def _digest(problem: Problem, job: _Job) -> str:
     """Of the laws and drives; whose study they are is in the checkpoint beside."""
-    seen = hashlib.sha256(str((LANES, problem.metrics, problem.scenarios)).encode())
+    seen = hashlib.sha256(
+        str((LANES, ROWS, problem.metrics, problem.scenarios, job.slopes)).encode()
+    )
     seen.update(np.ascontiguousarray(job.points).tobytes())
     seen.update(np.ascontiguousarray(problem.drives[job.drives]).tobytes())
     return seen.hexdigest()[:16]

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from jaxsim import tree
 from jaxsim.errors import InputError
-from jaxsim.quantity import to_si
 from jaxsim.study import Study
 from jaxsim.validation import check
-from tuning.drive_set import Drives, DriveSet, Spread, path_in, spread_of, table_of, with_own
+from tuning.drive_set import Drives, DriveSet, quantity_in, spread_of, table_of, with_own
 
 _MOST = 100_000  # drives: a digit too many in one of the numbers would fill the memory
 
@@ -38,19 +36,20 @@ class Grid(DriveSet):
         if size > _MOST:
             raise InputError(where, f"must have at most {_MOST} drives", size, "give fewer values")
         spreads = tuple(
-            Spread(name, path_in(study.drive, name, where), min(values), max(values))
+            quantity_in(study, name, where).spread(float(values.min()), float(values.max()))
             for name, values in named.items()
         )
         return with_own(study, spreads, np.array(list(product(*named.values()))))
 
 
-def _values(study: Study, name: str, given: Any, where: str) -> list[float]:
+def _values(study: Study, name: str, given: Any, where: str) -> np.ndarray:
+    quantity = quantity_in(study, name, where)
     if isinstance(given, dict):
         even = check(_Even, given, where)
         ends = spread_of(study, name, even.spread, f"{where}.spread")
-        return np.linspace(ends.lower, ends.upper, even.points).tolist()
-    path = path_in(study.drive, name, where)
+        values = np.linspace(ends.lower, ends.upper, even.points)
+        return quantity.values(study, values.tolist(), f"{where}.points")
     if not isinstance(given, list) or not given:
         rule = "must be a list of values, or { spread, points }"
         raise InputError(where, rule, repr(given), 'e.g. { spread = "20 %", points = 3 }')
-    return [float(v) for v in to_si(given, tree.unit(study.drive, path), where)]
+    return quantity.values(study, given, where)

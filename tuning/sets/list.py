@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxsim import tree
 from jaxsim.components import read_toml
 from jaxsim.errors import InputError
-from jaxsim.quantity import to_si
 from jaxsim.study import Study
-from tuning.drive_set import Drives, DriveSet, Spread, path_in, with_own
+from tuning.drive_set import Drives, DriveSet, Quantity, quantity_in, with_own
 
 _EXAMPLE = 'e.g. list = [{ half_gap = "7 mrad", K = 250 }]'
 
@@ -31,19 +29,25 @@ class List(DriveSet):
         if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
             raise InputError(where, "must be a list of drives", repr(given), _EXAMPLE)
         names = list(rows[0])
-        paths = {name: path_in(study.drive, name, where) for name in names}
+        quantities = [quantity_in(study, name, where) for name in names]
         table = []
         for k, row in enumerate(rows):
             place = f"{where}[{k}]"
             if set(row) != set(names):
                 fix = f"give {', '.join(names)} in each"
                 raise InputError(place, "must name the same parameters", sorted(row), fix)
-            units = {name: tree.unit(study.drive, path) for name, path in paths.items()}
-            table.append([float(to_si(row[n], units[n], f"{place}.{n}")) for n in names])
+            table.append([_one(study, q, row[q.name], f"{place}.{q.name}") for q in quantities])
         values = np.array(table)
-        ends = zip(names, values.min(axis=0), values.max(axis=0), strict=True)
-        spreads = tuple(Spread(n, paths[n], float(low), float(high)) for n, low, high in ends)
+        ends = zip(quantities, values.min(axis=0), values.max(axis=0), strict=True)
+        spreads = tuple(q.spread(float(low), float(high)) for q, low, high in ends)
         return with_own(study, spreads, values)
+
+
+def _one(study: Study, quantity: Quantity, given: Any, where: str) -> float:
+    values = quantity.values(study, given, where)
+    if len(values) != 1:
+        raise InputError(where, "must be one number", given, "give a single value")
+    return float(values[0])
 
 
 def _read(path: Path) -> Any:
