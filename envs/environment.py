@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from envs.task import TASKS, Episode, Task
 from jaxsim import engine
 from jaxsim.catalog import METRICS
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called
 from jaxsim.hybrid import Deadzone, Exact, Plain
 from jaxsim.law import Measured, as_joint_law
 from jaxsim.loop import ClosedLoop, When
@@ -230,7 +230,8 @@ def build(
 
     Raises: InputError for an unknown task or option.
     """
-    kind = TASKS.find(task)
+    with called("task"):
+        kind = TASKS.find(task)
     fields = {f.name for f in dataclasses.fields(kind)}
     for name in options:
         if name not in fields:

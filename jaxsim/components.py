@@ -26,7 +26,7 @@ from jaxsim.catalog import (
 )
 from jaxsim.derivative import Derivatives
 from jaxsim.drive import Drive, Load, Motor, Transmission
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called
 from jaxsim.laws import policy
 from jaxsim.motors import dc
 from jaxsim.observation import Action, Channel
@@ -145,8 +145,7 @@ def _construct(cls: type, table: Table, where: str, drive: Drive | None) -> Any:
     try:
         return cls(**values)
     except InputError as error:
-        own = f"{where}.{error.field.rpartition('.')[2]}"
-        raise InputError(own, error.rule, error.value, error.fix) from None
+        raise error.called(f"{where}.{error.field.rpartition('.')[2]}") from None
 
 
 def _has_default(field: Any) -> bool:
@@ -220,17 +219,14 @@ def override(component: Any, values: Mapping[str, Any], where: str) -> Any:
     Raises: InputError for unknown names, wrong units and values that break a rule.
     """
     for name, value in values.items():
-        try:
-            number = to_si(value, tree.unit(component, name), f"{where}.{name}")
-        except InputError as error:
-            field = f"{where}.{name}"
-            raise InputError(field, error.rule, error.value, error.fix) from None
+        field = f"{where}.{name}"
+        with called(field):
+            number = to_si(value, tree.unit(component, name), field)
         component = tree.replace(component, {name: np.asarray(number, float)})
     for item in all_parameters(component):
-        value = np.asarray(item.value)
-        if not np.all(np.asarray(item.rule.holds(value))):
-            field = f"{where}.{item.path.lstrip('.')}"
-            raise InputError(field, item.rule.text, value.tolist(), item.rule.fix)
+        if broken := item.rule.broken(item.value):
+            field, got = f"{where}.{item.path.lstrip('.')}", np.asarray(item.value).tolist()
+            raise InputError(field, broken.text, got, broken.fix)
     return component
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -19,8 +20,36 @@ class InputError(ValueError):
 
     @classmethod
     def unknown(cls, field: str, name: str, known: Iterable[str]) -> InputError:
-        """An unknown name, with the nearest known ones, or all of them where none is near."""
+        """An unknown name, with the nearest known ones; all of them, nearest first, if none is."""
         known = sorted(known)
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-        fix = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}"
+        every = sorted(known, key=lambda other: -_alike(name, other))
+        fix = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(every)}"
         return cls(field, "must be a known name", repr(name), fix)
+
+    def called(self, field: str) -> InputError:
+        """The same mistake, under the name that the person gave it."""
+        return InputError(field, self.rule, self.value, self.fix)
+
+
+@contextmanager
+def called(field: str) -> Iterator[None]:
+    """Mistakes inside are told under the name that the person typed, such as an option's."""
+    try:
+        yield
+    except InputError as error:
+        raise error.called(field) from None
+
+
+@contextmanager
+def inside(place: str) -> Iterator[None]:
+    """Mistakes inside are told with the file that they are in before the field."""
+    try:
+        yield
+    except InputError as error:
+        raise error.called(f"{place}: {error.field}") from None
+
+
+def _alike(a: str, b: str) -> float:
+    """How much of two names is the same, 0 to 1; capitals count less than letters."""
+    return difflib.SequenceMatcher(None, a.lower(), b.lower()).ratio()

@@ -12,7 +12,7 @@ from jaxsim import batch, tree
 from jaxsim._simulate import simulate
 from jaxsim.catalog import METRICS
 from jaxsim.components import dump
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called
 from jaxsim.scale import Arrays, gather
 from jaxsim.study import Study
 
@@ -68,7 +68,8 @@ def ranges_of(study: Study, given: dict[str, str]) -> tuple[Range, ...]:
 
 
 def _range(study: Study, name: str, width: str) -> Range:
-    path = tree.resolve(study.drive, name)
+    with called("--vary"):
+        path = tree.resolve(study.drive, name)
     nominal = float(np.asarray(tree.get(study.drive, path)))
     number = width.strip().removesuffix("%").strip()
     try:

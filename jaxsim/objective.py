@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from jaxsim.catalog import METRICS
 from jaxsim.criterion import chosen
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called
 from jaxsim.validation import check
 
 # A smaller weight in a quantile is none: what is far from it may be infinite.
@@ -146,10 +146,8 @@ def _items(
 def check_name(name: str, where: str) -> None:
     """Raises: InputError for what is neither a metric nor a criterion, with the nearest."""
     metrics = [v for group in METRICS.all().values() for v in group.values]
-    try:
+    with called(where):
         chosen((name,), metrics)
-    except InputError as error:
-        raise InputError(where, error.rule, error.value, error.fix) from None
 
 
 def _over(over: Over, where: str) -> Over:

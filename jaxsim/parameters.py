@@ -22,12 +22,18 @@ class Rule(NamedTuple):
     holds: Callable[[Any], Any]
     fix: str
 
+    def broken(self, value: Any) -> Rule | None:
+        """The rule that a concrete value breaks: to be a number, to be finite, or this one."""
+        rules = (NUMBER, ANY, self)
+        return next((r for r in rules if not np.all(np.asarray(r.holds(np.asarray(value))))), None)
+
 
 def _finite(value: Any) -> Any:
     """NumPy's for numbers: jnp.isfinite would trace them where a component is built inside jit."""
     return jnp.isfinite(value) if isinstance(value, jax.Array) else np.isfinite(value)
 
 
+NUMBER = Rule("must be a number, not nan", lambda v: v == v, "find out where it is from")
 ANY = Rule("must be finite", _finite, "give a finite number")
 POSITIVE = Rule(
     "must be > 0",
@@ -92,9 +98,9 @@ class Parameters(eqx.Module):
         for item in own_parameters(self, type(self).__name__):
             if not is_concrete(item.value) or np.ndim(item.value) > item.ndim:
                 continue  # traced, or a batch: the run reports the members by index
-            value = np.asarray(item.value)
-            if not np.all(np.asarray(item.rule.holds(value))):
-                raise InputError(item.path, item.rule.text, value.tolist(), item.rule.fix)
+            if broken := item.rule.broken(item.value):
+                got = np.asarray(item.value).tolist()
+                raise InputError(item.path, broken.text, got, broken.fix)
 
 
 def own_parameters(component: Parameters, path: str) -> Iterator[Checked]:
@@ -135,6 +141,6 @@ def violations(tree: Any, member: int | None = None) -> list[str]:
         value = np.asarray(item.value)
         if member is not None and value.ndim > item.ndim:
             value = value[member]
-        if not np.all(np.asarray(item.rule.holds(value))):
-            found.append(f"{item.path}: {item.rule.text}; got {value.tolist()}")
+        if broken := item.rule.broken(value):
+            found.append(f"{item.path}: {broken.text}; got {value.tolist()}")
     return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import equinox as eqx
 
 from jaxsim.errors import InputError
@@ -60,8 +62,17 @@ class Scenario(eqx.Module):
             raise InputError("dt", "must be > 0 s and < 1 s", dt, "e.g. 2e-4")
         count = round(self.duration / dt)
         if abs(count * dt - self.duration) > 1e-6 * dt:
-            fitting = self.duration / max(count, 1)
-            raise InputError(
-                "dt", f"must divide the duration {self.duration:g} s", dt, f"e.g. {fitting:.9g}"
-            )
+            rule = f"must divide the duration {self.duration:g} s"
+            raise InputError("dt", rule, dt, f"e.g. {_fitting(self.duration, dt):.9g}")
         return count
+
+
+def _fitting(duration: float, dt: float) -> float:
+    """The largest number of two digits, at most dt, that divides a duration; s."""
+    decade = math.floor(math.log10(min(dt, duration)))
+    for digits in range(99, 9, -1):
+        short = float(f"{digits}e{decade - 1}")
+        count = round(duration / short)
+        if short <= dt and count > 0 and abs(count * short - duration) <= 1e-6 * short:
+            return short
+    return duration / math.ceil(duration / dt)

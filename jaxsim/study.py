@@ -14,7 +14,7 @@ from jaxsim import tree
 from jaxsim.catalog import DRIVES
 from jaxsim.components import build, override, read_json, read_toml
 from jaxsim.drive import Drive
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called, inside
 from jaxsim.hybrid import Deadzone, Exact, Plain, Smoothed
 from jaxsim.law import Control, as_joint_law
 from jaxsim.loop import ClosedLoop
@@ -91,10 +91,11 @@ def shipped() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
 
 
-def locate(name: str, folder: Path | None = None) -> Path:
+def locate(name: str, folder: Path | None = None, field: str = "study") -> Path:
     """The file of a study: a path (relative to `folder`), or the name of a shipped one.
 
-    Raises: InputError where there is neither, with the nearest shipped names.
+    field: what the person calls it. Raises: InputError where there is neither, with the nearest
+    shipped names.
     """
     path = (folder or Path()) / name
     if path.is_file():
@@ -102,8 +103,8 @@ def locate(name: str, folder: Path | None = None) -> Path:
     if name in shipped():
         return Path(str(resources.files(SHIPPED) / f"{name}.toml"))
     if name.endswith(".toml"):
-        raise InputError("study", "must be a file or a shipped study", name, "check the path")
-    raise InputError.unknown("study", name, shipped())
+        raise InputError(field, "must be a file or a shipped study", name, "check the path")
+    raise InputError.unknown(field, name, shipped())
 
 
 def load(name: str, *, law: str | None = None) -> Study:
@@ -114,12 +115,9 @@ def load(name: str, *, law: str | None = None) -> Study:
     path = locate(name)
     table = read_toml(path)
     if law is not None:
-        table["law"] = {"file": str(Path(law).absolute()) if Path(law).is_file() else law}
-    try:
+        table["law"] = {"file": str(locate(law, field="law").absolute())}
+    with inside(path.name):
         return from_table(table, path.parent, path.stem)
-    except InputError as error:
-        field = f"{path.name}: {error.field}"
-        raise InputError(field, error.rule, error.value, error.fix) from None
 
 
 def from_table(table: dict[str, Any], folder: Path, name: str) -> Study:
@@ -194,8 +192,9 @@ def _with_weights(law: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _other(name: Any, section: str, folder: Path) -> tuple[Any, Path]:
     """A section of another file, and that file's folder."""
-    path = locate(_text(name, f"{section}.file"), folder)
-    return _need(read_toml(path), section), path.parent
+    path = locate(_text(name, f"{section}.file"), folder, f"{section}.file")
+    with inside(path.name):
+        return _need(read_toml(path), section), path.parent
 
 
 def _text(value: Any, where: str) -> str:
@@ -285,8 +284,15 @@ def owner_of(study: Study, name: str) -> tuple[str, str]:
     if found:
         paths = [".".join(hit) for hit in found]
         raise InputError(name, "must name one parameter", f"matches {paths}", "give the full path")
-    known = [p for owner in ("law", "drive") for p in tree.paths(getattr(study, owner))]
-    raise InputError.unknown("parameter", name, {*known, *(p.rsplit(".", 1)[-1] for p in known)})
+    raise InputError.unknown("parameter", name, names(study))
+
+
+def names(study: Study) -> list[str]:
+    """The shortest name of every single number of law and drive, as `with_values` takes it."""
+    parts = {owner: getattr(study, owner) for owner in ("law", "drive")}
+    every = [f"{owner}.{path}" for owner, part in parts.items() for path in tree.paths(part)]
+    single = {f"{owner}.{path}" for owner, part in parts.items() for path in tree.numbers(part)}
+    return [name for path, name in zip(every, tree.shortest(every), strict=True) if path in single]
 
 
 def with_values(study: Study, values: Mapping[str, Any]) -> Study:
@@ -294,11 +300,10 @@ def with_values(study: Study, values: Mapping[str, Any]) -> Study:
 
     Raises: InputError for unknown or ambiguous names and for values that break a rule.
     """
-    own: dict[str, dict[str, Any]] = {"law": {}, "drive": {}}
     for name, value in values.items():
-        owner, path = owner_of(study, name)
-        own[owner][path] = value
-    law = override(study.law, own["law"], "law")
-    drive = override(study.drive, own["drive"], "drive")
-    _remark(drive, law)
-    return study._replace(law=law, drive=drive)
+        with called(name):
+            owner, path = owner_of(study, name)
+            part = override(getattr(study, owner), {path: value}, owner)
+        study = study._replace(**{owner: part})
+    _remark(study.drive, study.law)
+    return study

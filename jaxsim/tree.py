@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +20,24 @@ def paths(tree: Any) -> list[str]:
     return [item.path.lstrip(".") for item in all_parameters(tree)]
 
 
+def numbers(tree: Any) -> list[str]:
+    """Those of the paths that are a single number: no arrays, such as Gammas per joint."""
+    return [i.path.lstrip(".") for i in all_parameters(tree) if np.ndim(i.value) == 0]
+
+
+def shortest(paths: Sequence[str]) -> list[str]:
+    """The shortest tail of each path that names it alone."""
+    return [
+        next(t for t in _tails(path) if sum(f".{p}".endswith(f".{t}") for p in paths) == 1)
+        for path in paths
+    ]
+
+
+def _tails(path: str) -> list[str]:
+    parts = path.split(".")
+    return [".".join(parts[-k:]) for k in range(1, len(parts) + 1)]
+
+
 def resolve(tree: Any, name: str) -> str:
     """The full path of a parameter given by its path or by an unambiguous tail of it.
 
@@ -34,14 +51,7 @@ def resolve(tree: Any, name: str) -> str:
         return hits[0]
     if hits:
         raise InputError(name, "must name one parameter", f"matches {hits}", "give the full path")
-    tails = {p.rsplit(".", 1)[-1] for p in known}
-    near = difflib.get_close_matches(name, sorted(tails | set(known)), n=3, cutoff=0.4)
-    raise InputError(
-        name,
-        "must name a parameter",
-        "no such parameter",
-        f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}",
-    )
+    raise InputError.unknown("parameter", name, shortest(known))
 
 
 def get(tree: Any, name: str) -> Any:

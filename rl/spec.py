@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from envs.task import TASKS
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called
 from jaxsim.validation import check
 
 ALGORITHMS = ("apg", "ppo", "sac", "td3")
@@ -70,7 +70,8 @@ def read_spec(task: str, algo: str, seed: int, changes: Mapping[str, Any]) -> AP
     """
     if algo not in ALGORITHMS:
         raise InputError.unknown("--algo", algo, ALGORITHMS)
-    TASKS.find(task)
+    with called("task"):
+        TASKS.find(task)
     text = resources.files("rl.presets").joinpath(f"{algo}.toml").read_text("utf-8")
     preset = tomllib.loads(text)
     table = _merged(preset["default"], preset.get(task, {}))

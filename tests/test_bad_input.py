@@ -30,15 +30,15 @@ DURATION = 0.051
 BAD_PARTS = {
     "negative inertia": (lambda: Inertia(J_L=-1e-3), "Inertia.J_L", "must be > 0"),
     "no inertia": (lambda: Ideal(J_M=0.0), "Ideal.J_M", "must be > 0"),
-    "nan": (lambda: Inertia(J_L=np.nan), "Inertia.J_L", "must be > 0"),
-    "infinite viscosity": (lambda: Ideal(J_M=1e-3, D_M=np.inf), "Ideal.D_M", "must be >= 0"),
+    "nan": (lambda: Inertia(J_L=np.nan), "Inertia.J_L", "a number, not nan"),
+    "infinite viscosity": (lambda: Ideal(J_M=1e-3, D_M=np.inf), "Ideal.D_M", "must be finite"),
     "negative gap": (lambda: Backlash(K=300.0, half_gap=-1e-3), "Backlash.half_gap", ">= 0"),
-    "infinite gain": (lambda: PD(np.inf, 0.05, 6e-3), "PD.K_P", "must be >= 0"),
-    "nan gain": (lambda: PD(10.0, np.nan, 6e-3), "PD.K_D", "must be >= 0"),
+    "infinite gain": (lambda: PD(np.inf, 0.05, 6e-3), "PD.K_P", "must be finite"),
+    "nan gain": (lambda: PD(10.0, np.nan, 6e-3), "PD.K_D", "a number, not nan"),
     "no filter": (lambda: PD(10.0, 0.05, 0.0), "PD.tau_D", "must be > 0"),
     "infinite damping": (lambda: bench.LinearDamping(-np.inf), "LinearDamping.K_B", "finite"),
     "no duration": (lambda: Scenario(Step(0.3), duration=0.0), "scenario.duration", "> 0 s"),
-    "step that is nan": (lambda: Step(np.nan), "Step.size", "finite"),
+    "step that is nan": (lambda: Step(np.nan), "Step.size", "a number, not nan"),
     "samples out of order": (lambda: Table([0.0, 0.2, 0.1], [0.0] * 3), "Table.times", "increase"),
     "samples missing": (lambda: Table([0.0, 0.2], [0.0] * 3), "Table", "one length"),
     "no width": (lambda: Smoothed(width=0.0), "width", "must be > 0"),
@@ -77,6 +77,24 @@ def test_a_run_that_cannot_be_set_up_is_refused_before_it_starts(name: str) -> N
         _run(**options)
     assert caught.value.field == field
     assert rule in caught.value.rule
+
+
+@pytest.mark.parametrize(
+    ("duration", "dt", "fix"),
+    [
+        (0.3, 2.3e-4, "e.g. 0.0002"),
+        (0.051, 4e-4, "e.g. 0.00034"),
+        (0.1, 0.2, "e.g. 0.1"),
+        (1.0 / 3.0, 1e-4, "e.g. 9.9980004e-05"),
+    ],
+)
+def test_the_step_that_is_proposed_is_short_and_divides(
+    duration: float, dt: float, fix: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        Scenario(Step(0.3), duration=duration).ticks(dt)
+    assert caught.value.fix == fix
+    Scenario(Step(0.3), duration=duration).ticks(float(caught.value.fix.removeprefix("e.g. ")))
 
 
 def test_unknown_names_come_with_the_nearest_ones() -> None:
@@ -152,8 +170,8 @@ def test_failures_say_which_member_and_why() -> None:
         "negative gap", "nan inertia", "infinite gain", "diverges",
     }  # fmt: skip
     assert "half_gap: must be >= 0" in failures[names.index("negative gap")]
-    assert "J_L: must be > 0" in failures[names.index("nan inertia")]
-    assert "K_P: must be >= 0; got inf" in failures[names.index("infinite gain")]
+    assert "J_L: must be a number, not nan" in failures[names.index("nan inertia")]
+    assert "K_P: must be finite; got inf" in failures[names.index("infinite gain")]
     assert "infinite" in failures[names.index("diverges")]
     assert int(mixed().status[names.index("diverges")]) == Status.DIVERGED
     for name in ("negative gap", "nan inertia"):

@@ -19,7 +19,7 @@ from jaxsim.errors import InputError
 from jaxsim.law import Law
 from jaxsim.provenance import make_folder, write_json, write_toml
 from jaxsim.quantity import to_si
-from jaxsim.study import Study, load, locate, shipped, with_values
+from jaxsim.study import Study, load, locate, names, owner_of, shipped, with_values
 
 TEXT = """
 name = "test"
@@ -115,7 +115,7 @@ def test_law_from_another_file_and_values_by_name(tmp_path: Path) -> None:
         ('"bench_2018"', '"bench_2018"\nhalf_gap = 7.8', ["half_gap", "0.35 rad", "7.8"]),
         ('"bench_2018"', '"bench_2018"\nhalf_gap = "1 Nm"', ["half_gap", "convertible to rad"]),
         ('"bench_2018"', '"bench_2018"\nhalf_ga = 0.01', ["half_ga", "did you mean half_gap"]),
-        ('"bench_2018"', '"bench_2018"\nK = nan', ["K", "must be > 0", "nan"]),
+        ('"bench_2018"', '"bench_2018"\nK = nan', ["K", "must be a number, not nan"]),
         ("K_B =", "K_C =", ["law.law[1].K_C", "did you mean K_B"]),
         ('"switched_damping"', '"switched_dampin"', ["did you mean switched_damping"]),
         ('type = "pd", K_P = 10.0,', 'type = "pd",', ["law.law[0]", "K_P"]),
@@ -147,6 +147,24 @@ def test_period_that_the_step_does_not_divide(tmp_path: Path) -> None:
     text = TEXT.replace('type = "prefilter"\nlaw = [', 'type = "sampled"\nperiod = 5e-4\nlaw = [')
     with pytest.raises(InputError, match=r"Sampled.period: must be a multiple of dt = 0.0002 s"):
         _load(tmp_path, text)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_name_that_is_listed_can_be_set(name: str) -> None:
+    study = load(name)
+    for known in names(study):
+        owner, path = owner_of(study, known)
+        value = float(tree.get(getattr(study, owner), path))
+        assert _same(with_values(study, {known: value}).drive, study.drive), known
+
+
+def test_an_unknown_value_is_told_with_what_can_be_set() -> None:
+    with pytest.raises(InputError) as caught:
+        with_values(load("bench_switched"), {"qqdampingqq": 1.0})
+    assert caught.value.field == "qqdampingqq"
+    assert caught.value.fix.startswith("known: D_M, ")
+    assert {"K_B", "half_gap", "tau_D"} <= set(caught.value.fix[7:].split(", "))
+    assert "law." not in caught.value.fix
 
 
 def test_no_such_study_names_the_nearest() -> None:

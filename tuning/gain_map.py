@@ -16,7 +16,7 @@ import numpy as np
 from jaxsim import batch, tree
 from jaxsim._simulate import simulate
 from jaxsim.analysis import linearisable
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called
 from jaxsim.linear import operating, routh
 from jaxsim.linear.flat import FlatLoop
 from jaxsim.linear.linearise import Linearised, joint_system, linearise
@@ -110,7 +110,8 @@ def axis_of(
 
     Raises: InputError for an unknown gain, one that is no single number, and for an empty range.
     """
-    path = tree.resolve(study.law, name)
+    with called(option):
+        path = tree.resolve(study.law, name)
     value, unit = tree.get(study.law, path), tree.unit(study.law, path)
     if np.ndim(value):
         raise InputError(option, "must name a single number", np.shape(value), "name another")

@@ -230,9 +230,9 @@ def _check_ends(law: Any, tie: Tie, free: Free, where: str) -> None:
     own = tie.factor == 1.0 and tie.offset == 0.0
     for key in ("lower", "upper"):
         value = tie.value(getattr(free, key))
-        if not rule.holds(np.asarray(value)):
+        if broken := rule.broken(value):
             field = f"{where}.{key}" if own else f"{where} at {free.name}.{key}"
-            raise InputError(field, rule.text, value, rule.fix)
+            raise InputError(field, broken.text, value, broken.fix)
 
 
 def _is_log(scale: str | None, lower: float, upper: float) -> bool:
