@@ -146,7 +146,9 @@ def _joined(job: _Job, folder: Path, chunks: int, stopped: KeyboardInterrupt | N
 def _digest(job: _Job) -> str:
     """Of everything that the numbers depend on."""
     problem = job.problem
-    seen = hashlib.sha256(repr((problem.unknowns.free, problem.dt, job.how, job.size)).encode())
+    seen = hashlib.sha256(
+        repr((problem.unknowns.free, problem.dt, problem.exact, job.how, job.size)).encode()
+    )
     trees = problem.models, problem.readings, job.starts, job.who, job.frozen, job.how
     for leaf in jax.tree.leaves(trees):
         seen.update(np.ascontiguousarray(leaf).tobytes())

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
+from jaxsim import tree
 from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.parameters import NON_NEGATIVE, Parameters, parameter
@@ -45,7 +47,7 @@ class Experiment(NamedTuple):
     The scenario holds the inputs (`reference`: the command of an open-loop log under
     `Feedforward`, or what a drive's own law follows; `load_torque`) and the start. The experiments
     of one fit have the same components and the same measured signals in the same order; numbers,
-    lengths and durations may differ.
+    lengths and durations may differ. at_rest: whether the gear starts wound up by the load.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Experiment(NamedTuple):
     law: Any
     scenario: Scenario
     measurements: tuple[Measurement, ...]
+    at_rest: bool = False
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -66,12 +69,34 @@ class Model(eqx.Module):
     law: Any
     scenario: Scenario
     sensors: tuple[Sensor, ...]
+    at_rest: bool = eqx.field(static=True, default=False)
 
 
 def model_of(experiment: Experiment) -> Model:
     """The tree of one experiment."""
     sensors = tuple(m.sensor for m in experiment.measurements)
-    return Model(experiment.drive, experiment.law, experiment.scenario, sensors)
+    parts = experiment.drive, experiment.law, experiment.scenario
+    return Model(*parts, sensors, experiment.at_rest)
+
+
+def wound(model: Model) -> Model:
+    """The model at rest: its gear carries what keeps the load from falling.
+
+    theta_B = T/K + sign(T) half_gap, with T = -a(0)/(a(1) - a(0)) of the load's acceleration
+    a(T_s) under the load torque of the beginning; for drives of one axis.
+    """
+    start = model.scenario.start[0]
+    gear: Any = model.drive.transmission[0]
+    zero = jnp.zeros_like(jnp.asarray(start.theta_L, float))
+    pull = model.scenario.load_torque[0].value(zero, zero)
+
+    def acceleration(torque: Scalar) -> Scalar:
+        return model.drive.load.acceleration((start.theta_L,), (zero,), (torque + pull,))[0]
+
+    free = acceleration(zero)
+    torque = -free / (acceleration(zero + 1.0) - free)
+    theta_B = torque / gear.K + jnp.sign(torque) * getattr(gear, "half_gap", 0.0)
+    return tree.replace(model, {"scenario.start.theta_B": theta_B})
 
 
 def measurement(

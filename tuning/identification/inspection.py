@@ -150,8 +150,11 @@ def noise(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(third - np.median(third)))) / 20.0**0.5
 
 
-def spikes(values: np.ndarray) -> np.ndarray:
-    """(n,) whether a sample, or two in a row, stand far off their neighbours on both sides."""
+def spikes(values: np.ndarray, distance: float | None = None) -> np.ndarray:
+    """(n,) whether a sample, or some in a row, stand far off their neighbours on both sides.
+
+    distance: from the median of seven, in the unit of the values; None judges by the others.
+    """
     finite = np.isfinite(values)
     if finite.sum() < 4 * _WINDOW:
         return np.zeros(values.size, bool)
@@ -159,6 +162,8 @@ def spikes(values: np.ndarray) -> np.ndarray:
     padded = np.pad(filled, _WINDOW, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _WINDOW + 1)
     away = np.abs(filled - np.median(windows, axis=1))
+    if distance is not None:
+        return finite & (away > distance)
     usual = 1.4826 * np.median(away[away > 0.0]) if np.any(away > 0.0) else 0.0
     changes = np.abs(np.diff(filled))
     step = np.median(changes[changes > 0.0]) if np.any(changes > 0.0) else 0.0

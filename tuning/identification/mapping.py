@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
+import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxsim import tree
 from jaxsim.errors import InputError
 from jaxsim.loop import UNITS, ClosedLoop
 from jaxsim.quantity import to_si
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signal import Signal
+from jaxsim.signals.delayed import Delayed
 from jaxsim.signals.samples import Samples
 from jaxsim.signals.table import Table
 from jaxsim.study import Study
-from tuning.identification import inspection
-from tuning.identification.experiment import Experiment, Measurement, measurement, model_of
+from tuning.identification import inspection, records
+from tuning.identification.experiment import Experiment, Measurement, measurement
 from tuning.identification.residuals import signal_name
 from tuning.identification.spec import INPUTS, Column, Recording, Spec, is_measured
-from tuning.identification.unknowns import path_of, unit_of
-from tuning.log import Log, read_log
+from tuning.log import File, Log, log_of, read_file
 
 # Stamps this close to equal steps, as a share of a step, are equal steps.
 _EQUAL = 1e-5
@@ -58,40 +59,48 @@ def experiments(study: Study, spec: Spec) -> tuple[list[Recorded], float]:
     Raises: InputError for logs and columns that are missing, times that run backwards, inputs with
     holes, and units that contradict each other.
     """
-    opened = [(r, _open(spec, r, path)) for r in spec.recordings for path in _files(spec, r)]
-    dt = _step(study, spec, opened[0][1]) if spec.dt is None else spec.dt
+    read = functools.cache(read_file)
+    opened = [
+        (r, row, _open(spec, read(path), row))
+        for r in spec.recordings
+        for path in records.files(spec.folder, r.log)
+        for row in records.rows(r, read(path))
+    ]
+    dt = _step(study, spec, opened[0][2]) if spec.dt is None else spec.dt
     names: dict[str, int] = {}
     found = []
-    for recording, log in opened:
-        name = log.name if recording.row is None else f"{log.name}[{recording.row}]"
+    for recording, row, log in opened:
+        name = log.name if row is None else f"{log.name}[{row}]"
         names[name] = names.get(name, 0) + 1
         name = name if names[name] == 1 else f"{name}#{names[name]}"
         found.append(_recorded(study, spec, recording, log, name, dt))
     return found, dt
 
 
-def _files(spec: Spec, recording: Recording) -> list[Path]:
-    path = spec.folder / recording.log
-    if not any(mark in recording.log for mark in "*?["):
-        return [path]
-    found = sorted(path.parent.glob(path.name))
-    if not found:
-        fix = "check the pattern"
-        raise InputError("identify.experiments.log", "must match a file", recording.log, fix)
-    return found
-
-
-def _open(spec: Spec, recording: Recording, path: Path) -> Log:
-    log = read_log(path, recording.row)
+def _open(spec: Spec, file: File, row: int | None) -> Log:
+    log = log_of(file, row)
     if "time" not in spec.columns:
-        rule = "must be given"
         guess = inspection.find_time(log)
-        fix = f'e.g. time = {{ column = "{guess}" }}' if guess else "name the column of time stamps"
-        raise InputError("identify.columns.time", rule, "nothing", fix)
+        fix = f"e.g. {_example(['time'], guess)}" if guess else "name the column of time stamps"
+        raise InputError("identify.columns.time", "must be given", "nothing", fix)
     if not any(is_measured(name) for name in spec.columns):
-        fix = 'e.g. theta_L = { column = "..." }'
+        taken = {column.column for column in spec.columns.values()}
+        column = next((name for name in log.columns if name not in taken), "...")
+        signals = [name for name in UNITS if name not in INPUTS]
+        fix = f"e.g. {_example(signals, column)}; signals: {', '.join(signals)}"
         raise InputError("identify.columns", "must name a measured signal", "none", fix)
     return log
+
+
+def _example(signals: list[str], column: str) -> str:
+    """A line of [identify.columns], for the first signal that has a unit in the column's name."""
+    found = re.search(r"\[(.+)\]", column)
+    unit = found[1] if found else None
+    for signal in signals if unit else ():
+        with contextlib.suppress(InputError):
+            to_si(f"1 {unit}", UNITS.get(signal, "s"), column)
+            return f'{signal} = {{ column = "{column}", unit = "{unit}" }}'
+    return f'{signals[0]} = {{ column = "{column}" }}'
 
 
 def _step(study: Study, spec: Spec, log: Log) -> float:
@@ -114,16 +123,16 @@ def _recorded(
     _contradictions(study, spec, raw)
     duration = _duration(raw, dt, log)
     scenario = _scenario(study, spec, raw, duration, dt, remarks, log.path.name)
-    if spec.start == "readings":
-        scenario = _started(study, spec.first, scenario, raw)
+    if spec.start != "study":
+        scenario = _started(study, spec, scenario, raw)
     measured = tuple(
         _measured(study, key, spec.columns[key], series, duration, remarks, log.path.name)
         for key, series in raw.items()
         if is_measured(key)
     )
-    law = study.law
-    made = Experiment(name, study.drive, law, scenario, measured)
-    return Recorded(_set(made, recording), recording.use, tuple(f"{name}: {r}" for r in remarks))
+    made = Experiment(name, study.drive, study.law, scenario, measured, spec.start == "rest")
+    made = records.known(made, recording, log, _stamps(spec, log, None))
+    return Recorded(made, recording.use, tuple(f"{name}: {r}" for r in remarks))
 
 
 def _stamps(spec: Spec, log: Log, column: Column | None) -> np.ndarray:
@@ -233,13 +242,30 @@ def _scenario(
     for name in INPUTS:
         if name in raw:
             column = spec.columns[name]
-            parts[name][column.axis] = _input(raw[name], column.between, dt, f"{file}: {name}")
+            series, asked = _anew(raw[name], column, name), parts[name][column.axis]
+            made = _input(series, column.between, dt, f"{file}: {name}")
+            # What the study delays, it delays of the log, too.
+            late = isinstance(asked, Delayed)
+            parts[name][column.axis] = Delayed(made, asked.delay) if late else made
             if np.ptp(raw[name].values) == 0.0:
                 remarks.append(f"the input {name} is constant: it excites nothing.")
     return Scenario(
         tuple(parts["reference"]), tuple(parts["load_torque"]), study.scenario.start,
         duration=duration,
     )  # fmt: skip
+
+
+def _anew(series: Series, column: Column, name: str) -> Series:
+    """An input read anew at equal steps, if its column asks for them."""
+    if column.every is None:
+        return series
+    period = float(to_si(column.every, "s", f"identify.columns.{name}.every"))
+    grid = period * np.arange(math.ceil(series.times[-1] / period) + 1)
+    values = np.interp(grid, series.times, series.values)
+    if column.between == "hold":
+        at = np.searchsorted(series.times, grid * (1.0 + _EQUAL), "right") - 1
+        values = series.values[np.maximum(at, 0)]
+    return series._replace(times=grid, values=values)
 
 
 def _input(series: Series, between: str, dt: float, where: str) -> Signal:
@@ -262,15 +288,14 @@ def _measured(
     study: Study, key: str, column: Column, series: Series, duration: float, remarks: list[str],
     log: str,
 ) -> Measurement:  # fmt: skip
-    base, _ = signal_name(key)
     used = np.isfinite(series.values)
     if not used.all():
         remarks.append(f"{key}: {int((~used).sum())} readings are no numbers and are masked.")
-    masked = column.spikes or ("mask" if base in _ANGLES else "keep")
-    count = int(series.spikes.sum())
-    if count and masked == "mask":
-        used &= ~series.spikes
-        at = ", ".join(f"{t:.4g}" for t in series.times[series.spikes][:5])
+    spikes = _spikes(study, key, column, series)
+    count = int(spikes.sum())
+    if count:
+        used &= ~spikes
+        at = ", ".join(f"{t:.4g}" for t in series.times[spikes][:5])
         remarks.append(
             f"{key}: {count} spikes are masked (at {at}{' ...' if count > 5 else ''} s)."
         )
@@ -289,18 +314,31 @@ def _measured(
     return measurement(key, series.times[inside], series.values[inside], noise, used=used[inside])
 
 
-def _started(study: Study, first: int, scenario: Scenario, raw: dict[str, Series]) -> Scenario:
+def _spikes(study: Study, key: str, column: Column, series: Series) -> np.ndarray:
+    """What is masked as a spike: `mask`, `keep`, or a distance from the median of seven."""
+    given = column.spikes or ("mask" if signal_name(key)[0] in _ANGLES else "keep")
+    if given == "mask":
+        return series.spikes
+    if given == "keep":
+        return np.zeros_like(series.spikes)
+    distance = float(to_si(given, _unit(study, key), f"identify.columns.{key}.spikes"))
+    return inspection.spikes(series.values, distance)
+
+
+def _started(study: Study, spec: Spec, scenario: Scenario, raw: dict[str, Series]) -> Scenario:
     """Angle and speed of the load at the start, by a line or parabola through the first readings.
 
-    Where only the motor is read, the load is where the motor is: the gear unwound, in mid-gap.
+    At rest it is where the first reading is. Where only the motor is read, the load is where the
+    motor is: the gear unwound, in mid-gap.
     """
     seen = next((n for n in ("theta_L", "theta_M") if n in raw), None)
     if seen is None:
         return scenario
-    series = raw[seen]
-    good = np.flatnonzero(np.isfinite(series.values) & ~series.spikes)[:first]
-    times, degree = series.times[good], 2 if first >= _BEND else 1
-    angle, slope = np.polynomial.polynomial.polyfit(times, series.values[good], degree)[:2]
+    series, first = raw[seen], 1 if spec.start == "rest" else spec.first
+    good = np.isfinite(series.values) & ~_spikes(study, seen, spec.columns[seen], series)
+    good = np.flatnonzero(good)[:first]
+    times, degree = series.times[good], 0 if first == 1 else 2 if first >= _BEND else 1
+    angle, slope, *_ = *np.polynomial.polynomial.polyfit(times, series.values[good], degree), 0.0
     # Less than one step of the encoder over these readings is rest.
     still = abs(slope) * np.ptp(times) <= max(series.quantum, 3.0 * series.noise)
     ratio = float(study.drive.transmission[0].ratio) if seen == "theta_M" else 1.0
@@ -309,21 +347,6 @@ def _started(study: Study, first: int, scenario: Scenario, raw: dict[str, Series
         scenario.reference, scenario.load_torque, (start, *scenario.start[1:]),
         duration=scenario.duration,
     )  # fmt: skip
-
-
-def _set(made: Experiment, recording: Recording) -> Experiment:
-    """What is known of this recording, written into its tree."""
-    if not recording.set:
-        return made
-    model = model_of(made)
-    for name, value in recording.set.items():
-        where = f"identify.experiments.set.{name}"
-        path = path_of(made, name, where)
-        number = to_si(value, unit_of(made, path), where)
-        model = tree.replace(model, {path: np.asarray(number, float)})
-    sensors = zip(made.measurements, model.sensors, strict=True)
-    measured = tuple(m._replace(sensor=s) for m, s in sensors)
-    return Experiment(made.name, model.drive, model.law, model.scenario, measured)
 
 
 def _contradictions(study: Study, spec: Spec, raw: dict[str, Series]) -> None:

@@ -17,8 +17,8 @@ from tuning.identification.spec import Spec
 FILES = ("drive.toml", "result.json", "parameters.csv", "experiments.csv", "residuals.csv")
 HEAD = ("parameter", "value", "low", "high", "unit", "start", "verdict", "why", "what would help")
 LOGS = (
-    "log", "use", "signal", "unit", "rms before", "rms after", "of the readings [%]", "readings",
-    "white", "contact",
+    "log", "use", "signal", "unit", "rms before", "rms after", "mean abs after",
+    "of the readings [%]", "readings", "masked", "white", "contact",
 )  # fmt: skip
 _MOST_TOLD = 8  # held-out logs and signals that are told in words
 
@@ -54,16 +54,25 @@ def log_rows(outcome: Outcome) -> list[tuple[Any, ...]]:
         for s, signal in enumerate(outcome.problem.signals):
             unit = UNITS[signal.partition("[")[0]]
             white = outcome.seen.whiteness[place[e]][s].white if e in place else None
-            count = int(outcome.problem.readings.used[e, s].sum())
+            used = recorded.experiment.measurements[s].used
             errors = (
                 float(outcome.before[e, s]),
                 float(outcome.error[e, s]),
+                float(_absolute(outcome, np.array([e]), s)),
                 _relative(outcome, e, s),
             )
+            counts = int(used.sum()), int((~used).sum())
             lines.append(
-                (recorded.experiment.name, use, signal, unit, *errors, count, white, touched)
+                (recorded.experiment.name, use, signal, unit, *errors, *counts, white, touched)
             )
     return lines
+
+
+def _absolute(outcome: Outcome, logs: np.ndarray, s: int) -> float:
+    """Mean |model - reading| of one signal over all used readings of some logs."""
+    noise = outcome.problem.readings.noise[logs, s]
+    left = np.abs(outcome.evaluation.residuals[0, logs, s]).sum(axis=-1)
+    return float((noise * left).sum() / max(outcome.problem.readings.used[logs, s].sum(), 1))
 
 
 def _relative(outcome: Outcome, e: int, s: int) -> float:
@@ -83,18 +92,48 @@ def sentences(outcome: Outcome) -> list[str]:
         first += f"; {outcome.test.size} more were held out"
     first += ", if what follows is settled" if outcome.doubts else ""
     words = [first + ".", *outcome.doubts]
-    words += [
-        f"Held out, {log}: {signal} {after:.4g} {unit} rms, {share:.4g} % of the readings."
-        for log, use, signal, unit, _, after, share, *_ in log_rows(outcome)[-_MOST_TOLD:]
-        if use == "held out"
-    ]
+    words += _held_out(outcome)
     if outcome.interrupted:
         words.append("The search was interrupted: this is the best there was.")
     for i in outcome.shown:
         v = outcome.verdicts[i]
         if v.kind != "determined":
             words.append(f"{v.name} ({v.kind}): {v.why}. To see it: {v.advice}.")
-    return words + list(outcome.remarks)
+    return words + _remarks(outcome)
+
+
+def _held_out(outcome: Outcome) -> list[str]:
+    """How well the held-out logs are predicted: each, or all together where they are many."""
+    from jaxsim.loop import UNITS
+
+    if outcome.test.size * len(outcome.problem.signals) <= _MOST_TOLD:
+        return [
+            f"Held out, {log}: {signal} {after:.4g} {unit} rms, {share:.4g} % of the readings."
+            for log, use, signal, unit, _, after, _, share, *_ in log_rows(outcome)
+            if use == "held out"
+        ]
+    words = []
+    for s, signal in enumerate(outcome.problem.signals):
+        unit = UNITS[signal.partition("[")[0]]
+        for what, logs in (("Fitted", outcome.train), ("Held out", outcome.test)):
+            used = outcome.problem.readings.used[logs, s]
+            rms = np.sqrt(np.sum(outcome.error[logs, s] ** 2 * used.sum(axis=-1)) / used.sum())
+            words.append(
+                f"{what}, {logs.size} logs: {signal} {_absolute(outcome, logs, s):.4g} {unit} mean "
+                f"absolute error, {rms:.4g} {unit} rms."
+            )
+    return words
+
+
+def _remarks(outcome: Outcome) -> list[str]:
+    """What was noticed; where it was noticed of many logs, an example and where the rest is."""
+    if len(outcome.remarks) <= _MOST_TOLD:
+        return list(outcome.remarks)
+    noticed = [words for r in outcome.recorded for words in r.remarks]
+    rest = [words for words in outcome.remarks if words not in set(noticed)]
+    masked = sum(int((~m.used).sum()) for r in outcome.recorded for m in r.experiment.measurements)
+    told = f"{len(noticed)} remarks on the logs, {masked} readings masked: see experiments.csv"
+    return [*rest, f"{told}. The first: {noticed[0]}"] if noticed else rest
 
 
 def write(study: Study, spec: Spec, outcome: Outcome, out: Path) -> None:

@@ -64,13 +64,14 @@ class Problem:
 
     dt: integration step, s; the durations are rounded up to it. width: fits side by side. All
     runs go through one program in portions of equal size: it is compiled once, whatever is asked.
+    exact: how much room for events the runs have.
 
     Raises: InputError where the experiments do not have the same components and signals.
     """
 
     def __init__(
         self, experiments: Sequence[Experiment], free: Sequence[Free], *, dt: float,
-        width: int = 1,
+        width: int = 1, exact: Exact | None = None,
     ) -> None:  # fmt: skip
         if not experiments:
             raise InputError("experiments", "must hold at least one", "none", "add a log")
@@ -80,7 +81,7 @@ class Problem:
         if len(kinds) > 1:
             fix = "fit them apart"
             raise InputError("experiments", "must measure the same signals", sorted(kinds), fix)
-        self.experiments, self.dt = tuple(experiments), dt
+        self.experiments, self.dt, self.exact = tuple(experiments), dt, exact or Exact()
         self._kept: dict[Any, tuple[Batch, Batch]] = {}
         self.lanes = min(width * len(self.experiments), _LANES)
         self.unknowns = Unknowns(tuple(free), tuple(e.name for e in experiments))
@@ -129,7 +130,7 @@ class Problem:
         who = self.everyone(len(values)) if who is None else who
         how = _How(
             self.unknowns.free, self.signals, self.dt, self.store,
-            Exact() if deadzone is None else deadzone,
+            self.exact if deadzone is None else deadzone,
         )  # fmt: skip
         columns = self.unknowns.columns()[who]  # (F, E, len(free))
         fits = np.arange(len(values))[:, None, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -28,10 +29,13 @@ from tuning.identification.verdict import Verdict, verdicts
 # Signals whose noise nobody gave are weighed by what is left of them, this many times over.
 _ROUNDS = 3
 _SETTLED = 0.1  # weights that change by less than this share are left
+# A profile that goes deeper than the fit by this share of what bounds its interval shows that the
+# fit had not arrived.
+_DEEPER = 0.01
 # Logs alone are compared where there are no more than so many, and told apart below this chance.
 _MOST_ALONE = 24
 _ODD = 1e-4
-_LAST = (Stage(Exact()),)
+_LAST = (Stage(),)
 
 Tell = Callable[[str, Progress | None], None]
 
@@ -120,7 +124,10 @@ def identify(study: Study, spec: Spec, tell: Tell | None = None, fitted: Fit = f
     check_loops(recorded, dt)
     remarks = [words for r in recorded for words in r.remarks]
     free = read_free(spec, recorded[0].experiment)
-    problem = Problem([r.experiment for r in recorded], free, dt=dt, width=spec.search.starts)
+    exact = study.run.deadzone if isinstance(study.run.deadzone, Exact) else None
+    problem = Problem(
+        [r.experiment for r in recorded], free, dt=dt, width=spec.search.starts, exact=exact
+    )
     train = np.array([i for i, r in enumerate(recorded) if r.use == "fit"])
     return _Work(study, spec, problem, tuple(recorded), train, remarks, tell, fitted).run()
 
@@ -133,7 +140,11 @@ class _Work:
         train: np.ndarray, remarks: list[str], tell: Tell, fitted: Fit,
     ) -> None:  # fmt: skip
         self.study, self.spec, self.problem, self.recorded = study, spec, problem, recorded
-        self.train, self.remarks, self.tell, self.fitted = train, remarks, tell, fitted
+        self.train, self.remarks, self.tell = train, remarks, tell
+        search = spec.search
+        self.fitted: Fit = functools.partial(
+            fitted, iterations=search.iterations, tolerance=search.tolerance
+        )
         self.loss, self.doubts = spec.search.loss, list[str]()
         everyone = np.arange(len(problem.experiments))
         self.test = np.setdiff1d(everyone, train)
@@ -148,6 +159,7 @@ class _Work:
         fits = self._search(initial)
         best = fits.values[fits.best].copy()
         best = self._weighed(best)
+        best, profiles = self._traced(best)
         best = self._fit_own(best)
         there = self._all(best)
         seen = self._covariance(there, best)
@@ -156,9 +168,8 @@ class _Work:
             self.problem, best, seen.deviation, seen.freedom, confidence
         )
         judged = verdicts(self.problem, best, seen, there.contact[0][self.train])
-        profiles, samples, alone = (), np.zeros((0, len(best))), ()
+        samples, alone = np.zeros((0, len(best))), ()
         if not self.interrupted:
-            profiles = self._profiles(best, seen)
             samples = self._bootstrap(best)
             alone = self._alone(best)
         self._remark(best, seen, there)
@@ -195,7 +206,7 @@ class _Work:
         who = np.tile(self.train, (len(starts), 1))
         fits = self.fitted(
             self.problem, starts, who=who, stages=STAGES, loss=self.loss,
-            iterations=self.spec.search.iterations, tell=lambda p: self.tell("search", p),
+            tell=lambda p: self.tell("search", p),
         )  # fmt: skip
         self.interrupted |= fits.interrupted
         if not np.isfinite(fits.loss).any():
@@ -233,7 +244,7 @@ class _Work:
     ) -> Fits:  # fmt: skip
         found = self.fitted(
             self.problem, values, who=who, stages=stages, loss=self.loss, frozen=frozen,
-            iterations=self.spec.search.iterations, tell=lambda p: self.tell(what, p),
+            tell=lambda p: self.tell(what, p),
         )  # fmt: skip
         self.interrupted |= found.interrupted
         return found
@@ -268,6 +279,19 @@ class _Work:
         who = self.train if who is None else who
         part = Evaluation(*(v[:, who] for v in there))
         return uncertainty.covariance(self.problem, part, best, self.loss, who=who)
+
+    def _traced(self, best: np.ndarray) -> tuple[np.ndarray, tuple[Profile, ...]]:
+        """The profiles; where one finds a lower loss than the fit, that goes on from there."""
+        profiles: tuple[Profile, ...] = ()
+        for _ in range(_ROUNDS if self.spec.search.profile and not self.interrupted else 0):
+            there = self._all(best)
+            profiles = self._profiles(best, self._covariance(there, best))
+            left = 0.5 * float(self.loss.value(there.residuals[0][self.train]).sum())
+            lowest = min(profiles, key=lambda p: p.least)
+            if self.interrupted or lowest.least > left - _DEEPER * lowest.rise:
+                break
+            best = self._refit(lowest.lowest[None], "deeper", self.train[None]).values[0]
+        return best, profiles
 
     def _profiles(self, best: np.ndarray, seen: Covariance) -> tuple[Profile, ...]:
         found = []

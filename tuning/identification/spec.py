@@ -26,6 +26,15 @@ class Added(BaseModel):
     factor: float = 1.0
 
 
+class Noted(BaseModel):
+    """What a column says of its recording: one number, or the instant when it falls `below`."""
+
+    model_config = ConfigDict(extra="forbid")
+    column: str
+    unit: str | None = None
+    below: float | None = None
+
+
 class Column(BaseModel):
     """One column of the logs and how it is read. See docs/jobs/identify.md."""
 
@@ -38,18 +47,24 @@ class Column(BaseModel):
     counts: float | None = Field(gt=0.0, default=None)
     time: str | None = None
     noise: float | str | None = None
-    spikes: Literal["mask", "keep"] | None = None
+    spikes: float | str | None = None
     between: Literal["hold", "linear"] = "hold"
+    every: float | str | None = None
     axis: int = Field(ge=0, default=0)
 
 
 class Recording(BaseModel):
-    """One experiment: a log (or several by a pattern), what it is for, what is known of it."""
+    """Experiments of one kind: a log, several by a pattern, or some of the records of a file;
+
+    what they are for, and what is known of them.
+    """
 
     model_config = ConfigDict(extra="forbid")
     log: str
     use: Literal["fit", "test"] = "fit"
     row: int | None = None
+    records: dict[str, Any] | list[dict[str, Any]] = []
+    first_of: list[str] = []
     begin: float | str | None = None
     end: float | str | None = None
     set: dict[str, Any] = {}
@@ -64,13 +79,15 @@ class Search(NamedTuple):
     """How the unknowns are searched and how sure one wants to be.
 
     starts: of the search, the study's own values among them; seed: of the others. loss: robust or
-    not. profile: parameters whose loss is traced. bootstrap: samples over the experiments.
+    not. tolerance: a fit ends where its next step would gain less than this share of its loss.
+    profile: parameters whose loss is traced. bootstrap: samples over the experiments.
     """
 
     starts: int
     seed: int
     loss: Loss
     iterations: int
+    tolerance: float
     profile: tuple[str, ...]
     bootstrap: int
     confidence: float
@@ -80,7 +97,8 @@ class Spec(NamedTuple):
     """The section, read and checked against its own rules; logs are not opened yet.
 
     dt: integration step, s; None takes the largest one not above the study's that divides the
-    sampling. start: where axes start: as the study says, or by the `first` readings.
+    sampling. start: where axes start: as the study says, by the `first` readings, or at rest where
+    the first one is, with the gear wound up by what the load weighs.
     """
 
     columns: dict[str, Column]
@@ -96,19 +114,20 @@ class Spec(NamedTuple):
 
 class _Identify(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    columns: dict[str, Any]
-    experiments: list[Any]
-    free: dict[str, Any]
+    columns: dict[str, Any] = {}
+    experiments: list[Any] = []
+    free: dict[str, Any] = {}
     starts: int = Field(ge=1, default=8)
     seed: int = Field(ge=0, default=0)
     robust: Literal["squares", "huber", "soft_l1"] = "squares"
     threshold: float = Field(gt=0.0, default=3.0)
     iterations: int = Field(ge=1, default=50)
+    tolerance: float = Field(gt=0.0, lt=0.1, default=1e-9)
     profile: list[str] = []
     bootstrap: int = Field(ge=0, default=0)
     confidence: float = Field(gt=0.5, lt=1.0, default=0.95)
     dt: float | str | None = None
-    start: Literal["study", "readings"] = "study"
+    start: Literal["study", "readings", "rest"] = "study"
     first: int = Field(ge=2, default=5)
     structures: dict[str, str] = {}
     # Read by gearlash design-experiment and gearlash watch.
@@ -141,14 +160,16 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
         check(Recording, v, f"identify.experiments[{i}]") for i, v in enumerate(main.experiments)
     )
     if not any(r.use == "fit" for r in recordings):
-        raise InputError("identify.experiments", "must hold one to fit", "none", "add a log")
+        fix = 'add [[identify.experiments]] with log = "run1.csv"'
+        raise InputError("identify.experiments", "must hold one to fit", "none", fix)
     if not main.free:
-        raise InputError("identify.free", "must name a parameter", "none", "e.g. K = { ... }")
+        fix = 'e.g. half_gap = { lower = "1 mrad", upper = "20 mrad" }'
+        raise InputError("identify.free", "must name a parameter", "none", fix)
     kind = LOSSES[main.robust]
     loss = kind() if kind is Squares else kind(main.threshold)  # type: ignore[call-arg]
     search = Search(
-        main.starts, main.seed, loss, main.iterations, tuple(main.profile), main.bootstrap,
-        main.confidence,
+        main.starts, main.seed, loss, main.iterations, main.tolerance, tuple(main.profile),
+        main.bootstrap, main.confidence,
     )  # fmt: skip
     dt = None if main.dt is None else float(to_si(main.dt, "s", "identify.dt"))
     return Spec(
@@ -184,7 +205,7 @@ def _free(experiment: Experiment, name: str, given: Any) -> Free:
     try:
         return free(experiment, name, lower, upper, log=log, own=own, of=item.of)
     except InputError as error:
-        raise InputError(f"identify.{error.field}", error.rule, error.value, error.fix) from None
+        raise error.called(f"identify.{error.field}") from None
 
 
 def is_measured(name: str) -> bool:

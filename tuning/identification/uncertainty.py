@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from jaxsim.hybrid import Exact
 from tuning.identification.estimator import Fit, Progress, Stage, fit
 from tuning.identification.residuals import Evaluation, Problem
 from tuning.identification.robust import Loss
@@ -17,8 +16,9 @@ from tuning.identification.robust import Loss
 # Residuals pass for white where this test would only rarely fail on white noise.
 _WHITE = 0.01
 _LAGS = 20
+_MANY = 20  # experiments from which on their scatter tells more than a model of the residuals
 # From a good fit on, there is no way to find.
-_LAST = (Stage(Exact()),)
+_LAST = (Stage(),)
 
 
 class Whiteness(NamedTuple):
@@ -70,7 +70,9 @@ def covariance(
     With A = sum of w J J^T: A^-1 (sum over signals of kappa A_signal) A^-1, where kappa is the mean
     square of a signal's residuals times its inflation; and, where residuals are coloured, for each
     unknown at least the sandwich A^-1 B A^-1, B summing products of scores w r J over lags
-    (Newey and West, 1987, Econometrica 55, with Bartlett's weights).
+    (Newey and West, 1987, Econometrica 55, with Bartlett's weights). With many experiments, more
+    than twice as many as unknowns, B sums products of whole experiments' scores instead, which
+    asks nothing of what happens within one (Liang and Zeger, 1986, Biometrika 73), times E/(E - P).
 
     seen: an evaluation with derivatives by SI values (scale 1), of which `row` is the fit. values:
     (P,). who: (E,) the experiments that the fit looked at; all of them by default.
@@ -83,7 +85,8 @@ def covariance(
     white = tuple(
         tuple(whiteness(r[e, s][used[e, s]]) for s in range(r.shape[1])) for e in range(r.shape[0])
     )
-    size = len(scale)
+    size, logs = len(scale), len(who)
+    scores = np.einsum("esn,esn,esnp->ep", weight, np.where(used, r, 0.0), J)
     A, middle, B = (np.zeros((size, size)) for _ in range(3))
     for e, own in enumerate(white):
         for s, test in enumerate(own):
@@ -99,7 +102,10 @@ def covariance(
     inverse = _inverse(A)
     matrix = inverse @ middle @ inverse * (total / max(total - size, 1.0))
     coloured = not all(t.white for own in white for t in own)
-    if coloured:
+    if coloured and logs >= max(_MANY, 2 * size):
+        matrix = inverse @ (scores.T @ scores) @ inverse * (logs / (logs - size))
+        freedom = float(logs - size)
+    elif coloured:
         matrix = _at_least(matrix, inverse @ B @ inverse * (total / max(total - size, 1.0)))
     outer = scale[:, None] * scale[None, :]
     return Covariance(matrix * outer, inverse * outer, A / outer, white, coloured, freedom)
@@ -191,14 +197,16 @@ def intervals(
 class Profile(NamedTuple):
     """The loss along one unknown, all others fitted anew at every point.
 
-    values, loss: (n,); least: the lowest loss; rise: what the loss rises by at the ends
-    of the interval; interval: (low, high), nan on a side where the loss does not rise so far.
+    values, loss: (n,); least: the lowest loss; lowest: (P,) all unknowns there; rise: what the loss
+    rises by at the ends of the interval; interval: (low, high), nan on a side where the loss does
+    not rise so far.
     """
 
     name: str
     values: np.ndarray
     loss: np.ndarray
     least: float
+    lowest: np.ndarray
     rise: float
     interval: tuple[float, float]
 
@@ -229,7 +237,8 @@ def profile(
     rise = 0.5 * quantile**2 * kappa
     interval = _crossings(grid, found.loss - least, rise)
     name = problem.unknowns.names[column]
-    return Profile(name, grid, found.loss, least, rise, interval)
+    lowest = found.values[found.best]
+    return Profile(name, grid, found.loss, least, lowest, rise, interval)
 
 
 def _crossings(grid: np.ndarray, loss: np.ndarray, rise: float) -> tuple[float, float]:

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxsim import tree
-from jaxsim.errors import InputError
+from jaxsim.errors import InputError, called
 from jaxsim.loop import UNITS
 from jaxsim.parameters import all_parameters
-from tuning.identification.experiment import Experiment, Model, model_of
+from tuning.identification.experiment import Experiment, Model, model_of, wound
 
 # Bounds of one sign that span more than this are searched in the logarithm.
 _WIDE = 10.0
@@ -57,8 +57,8 @@ def free(
             got = f"{np.shape(item.value)} numbers"
             raise InputError(where, "must be a single number", got, "name another")
         for key, bound in (("lower", lower), ("upper", upper)):
-            if not item.rule.holds(np.asarray(bound)):
-                raise InputError(f"{where}.{key}", item.rule.text, bound, item.rule.fix)
+            if broken := item.rule.broken(bound):
+                raise InputError(f"{where}.{key}", broken.text, bound, broken.fix)
     if log and lower * upper <= 0.0:
         fix = "search linearly"
         raise InputError(where, "must have bounds of one sign to use logs", [lower, upper], fix)
@@ -78,10 +78,8 @@ def path_of(experiment: Experiment, name: str, where: str) -> str:
     if head in signals:
         index = f"[{signals.index(head)}]" if len(signals) > 1 else ""
         name = f"sensors{index}.{tail}"
-    try:
+    with called(where):
         return tree.resolve(model_of(experiment), name)
-    except InputError as error:
-        raise InputError(where, error.rule, error.value, error.fix) from None
 
 
 def unit_of(experiment: Experiment, path: str) -> str:
@@ -176,4 +174,5 @@ class Unknowns(NamedTuple):
 def with_values(model: Model, free: tuple[Free, ...], values: Any) -> Model:
     """The tree of one experiment with its free parameters set; values (len(free),), or traced."""
     set_: Mapping[str, Any] = {p: values[i] for i, f in enumerate(free) for p in f.paths}
-    return tree.replace(model, set_)
+    model = tree.replace(model, set_)
+    return wound(model) if model.at_rest else model
