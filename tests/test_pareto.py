@@ -19,6 +19,7 @@ from jaxsim.objective import Goal, Limit, Objective
 from jaxsim.provenance import write_toml
 from jaxsim.study import load
 from tuning import front_checkpoint, space
+from tuning.front import conclude
 from tuning.pareto import Tracer, pair_of, tracer_of
 from tuning.problem import Outcome
 from tuning.spec import read_spec
@@ -46,16 +47,16 @@ class Bowls:
             objective=Objective(PAIR, limits),
         )  # fmt: skip
 
-    def evaluate(self, points: np.ndarray, drives: np.ndarray) -> Outcome:
+    def evaluate(self, points: np.ndarray, drives: np.ndarray, *, slopes: bool = True) -> Outcome:
         self.calls += 1
         apart = np.stack([points - A, points - B], axis=1)
-        values, slopes = (apart**2).sum(axis=-1), 2.0 * apart
+        values, rates = (apart**2).sum(axis=-1), 2.0 * apart
         if self.concave:
             fall = np.exp(-values / 0.1)
-            values, slopes = 1.0 - fall, slopes * fall[..., None] / 0.1
+            values, rates = 1.0 - fall, rates * fall[..., None] / 0.1
         shape = (len(points), 1, 1, 2)
         return Outcome(
-            values.reshape(shape), slopes.reshape(*shape, 2), np.zeros((len(points), 1, 1), int)
+            values.reshape(shape), rates.reshape(*shape, 2), np.zeros((len(points), 1, 1), int)
         )
 
 
@@ -180,4 +181,28 @@ def test_command_writes_laws_that_none_beats_and_that_keep_the_limits(tmp_path: 
     assert space.gains_of(law, problem.spec.free)[0] <= 0.0
 
 
+def test_a_front_on_a_working_set_is_that_on_all_drives() -> None:
+    spread = {"half_gap": "30 %", "J_L": "30 %"}
+    drives = {"count": 48, "screen": 2, "spread": spread}
+    few, every = (
+        study(limits={"iae_rad_s": 0.009}, drives=drives | {"working": w}, iterations=20)
+        for w in (3, 48)
+    )
+    fronts = []
+    for what in (few, every):
+        tracer = tracer_of(what, read_spec(what), WORST_OF_BENCH, lambda p: None)
+        laws = tracer.trace(space.starting_points(what.law, read_spec(what)), 5)
+        fronts.append(conclude(tracer, laws, {}))
+        assert (len(tracer.drives) < 48) == (what is few)
+        assert len(fronts[-1].drives) == 48
+    found, wanted = (np.array([p.goals for p in f.points]) for f in fronts)
+    assert len(found) >= 4
+    assert all(p.scores.values["iae_rad_s"].max() <= 0.009 for p in fronts[0].points)
+    for k in (0, -1):  # the ends
+        np.testing.assert_allclose(found[k], wanted[k], rtol=2e-3)
+    between = np.interp(found[:, 1], wanted[:, 1], wanted[:, 0])
+    assert (found[:, 0] <= between * (1.0 + 2e-3)).all()  # chords lie above a convex front
+
+
 PAIR_OF_BENCH = (Goal("itae_rad_s2", 1.0, "mean"), Goal("largest_torque_Nm", 1.0, "worst"))
+WORST_OF_BENCH = (Goal("itae_rad_s2", 1.0, "worst"), Goal("largest_torque_Nm", 1.0, "worst"))

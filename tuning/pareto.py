@@ -18,10 +18,9 @@ import numpy as np
 from jaxsim.errors import InputError
 from jaxsim.objective import Goal, Limit, Objective, check_name
 from jaxsim.study import Study
-from tuning import front_checkpoint, space
+from tuning import front_checkpoint, space, working
 from tuning.local import RESERVE, Local, localise
 from tuning.problem import Problem
-from tuning.scoring import Scores, everything, score
 from tuning.session import noted_interrupts
 from tuning.solver import RUNNING, State
 from tuning.solvers.sqp import Sqp
@@ -29,6 +28,8 @@ from tuning.spec import Spec
 
 _SOLVER = Sqp()
 SCREEN, FULL = "screen", "full"
+# Searches that are not made again when drives have joined: their laws are known by then.
+_AGAIN = ("points", "points in the gaps")
 # Of a front, unless told otherwise.
 POINTS = 12
 # At an end, the other goal counts by this share: a flat valley ends where that is best as well.
@@ -47,29 +48,6 @@ class Seen(NamedTuple):
     first: float
     second: float
     violation: float
-
-
-class Point(NamedTuple):
-    """A law and its scores by fresh runs on the exact model; `goals` are the two numbers."""
-
-    gains: np.ndarray
-    goals: tuple[float, float]
-    scores: Scores
-    feasible: bool
-
-
-class Front(NamedTuple):
-    """Points that no other found law beats in both goals, ordered by the second.
-
-    marks: name -> a law to compare with. drives: scored. left_out: index -> why.
-    """
-
-    pair: tuple[Goal, Goal]
-    points: tuple[Point, ...]
-    marks: dict[str, Point]
-    drives: np.ndarray
-    left_out: dict[int, str]
-    interrupted: bool
 
 
 class Progress(NamedTuple):
@@ -99,7 +77,8 @@ class Tracer:
     """Searches for the front of a problem; the problem's objective must name both metrics.
 
     limits: of the study; they hold at every point. every: indices of the drives that run.
-    drives: of those looked at now. seen: the laws looked at on them. left_out: index -> why, of
+    drives: of those looked at now; with a working set those join on which laws of the front are
+    worse than on the others. seen: the laws looked at on them. left_out: index -> why, of
     drives that fail under every start. stage, done: where it stands, and its searches that are
     finished. file: where its state is kept after every iteration.
     """
@@ -120,6 +99,7 @@ class Tracer:
         self.left_out: dict[int, str] = {}
         self.stage, self.done = "", []
         self.interrupted, self._points = False, POINTS
+        self._before: list[Seen] = []
         self._pressed: list[int] = []
 
     def _leave_out(self, starts: np.ndarray) -> None:
@@ -128,7 +108,7 @@ class Tracer:
         Raises: InputError where no drive is left.
         """
         problem = self.problem
-        status = problem.evaluate(starts, self.drives).status
+        status = problem.evaluate(starts, self.drives, slopes=False).status
         dead = np.asarray(status.any(axis=-1).all(axis=0))
         self.left_out = {
             int(i): problem.trouble(int(i), int(status[0, k].max()))
@@ -148,27 +128,64 @@ class Tracer:
         starts (n, P): all are tried on the few drives of the screen, then all drives are used.
         What a checkpoint says is done is not done again.
         """
-        spec, before, self._points = self.problem.spec, self.seen, points
+        spec, self._points = self.problem.spec, points
         try:
             with noted_interrupts() as self._pressed:
                 if not self.stage:
                     self._leave_out(starts)
                     self.stage = SCREEN if spec.screen < spec.count else FULL
-                    self.starts = starts
-                    chosen = space.spanning(self.problem.drives[self.every], spec.screen)
-                    self.drives = self.every[chosen] if self.stage == SCREEN else self.every
+                    self.starts, self.drives = starts, self._wanted()
                 if self.stage == SCREEN:
                     self._stage(points, spec.iterations // 2)
-                    self.starts = np.array([*self._chosen(2 * points), *self.starts[:2]])
-                    self.stage, self.drives, self.done = FULL, self.every, []
-                    self.seen, before = [], self.seen
+                    self.stage = FULL
+                    again = [*self._chosen(2 * points), *self.starts[:2]]
+                    self._restart(again, self._wanted(), [])
                 self._stage(points, spec.iterations)
+                while self._widen(points):
+                    self._stage(points, spec.iterations)
         except KeyboardInterrupt:
             self.interrupted = True
-            self.seen = self.seen or before
+            self.seen = self.seen or self._before
             if not self.seen:
                 raise
         return self._chosen(points)
+
+    def _wanted(self) -> np.ndarray:
+        """Indices of the drives that a stage begins with."""
+        spec = self.problem.spec
+        if self.stage == FULL:
+            return self.every[self.every < spec.working]
+        return self.every[space.spanning(self.problem.drives[self.every], spec.screen)]
+
+    def _restart(self, starts: list[np.ndarray], drives: np.ndarray, done: list[str]) -> None:
+        """Go on from some laws on other drives; what was seen on those before is not comparable."""
+        self.starts, self.drives, self.done = np.array(starts), drives, done
+        self.seen, self._before = [], self.seen
+
+    def _widen(self, points: int) -> bool:
+        """Take drives up on which laws of the front are worse; whether there are any."""
+        rest = np.setdiff1d(self.every, self.drives)
+        if not len(rest):
+            return False
+        laws, problem = np.array(self._chosen(points)), self.problem
+        objective = Objective(self.pair, self.limits)
+        values = problem.evaluate(laws, self.drives, slopes=False)
+        known = [
+            localise(objective, problem.metrics, v, s, self._sample)
+            for v, s in zip(values.values, values.slopes, strict=True)
+        ]
+        worse = working.worse(problem, objective, laws, known, rest)
+        if not len(worse):
+            return False
+        starts = [*laws, *(s.z for s in self._spaced(2 * points))]
+        self._restart(starts, np.concatenate([self.drives, worse]), list(_AGAIN))
+        self._keep()
+        return True
+
+    @property
+    def _sample(self) -> np.ndarray | None:
+        """Of the drives looked at those that stand for all in a mean; None: all of them."""
+        return self.drives < self.problem.spec.working if self.stage == FULL else None
 
     def _stage(self, points: int, most: int) -> None:
         """Ends; half of the points evenly, the others in the widest gaps; all once more."""
@@ -324,10 +341,11 @@ class Tracer:
             if status.any() or not (np.isfinite(values).all() and np.isfinite(slopes).all()):
                 found.append("a run fails, or a metric or its slope is not finite")
                 continue
-            both = localise(Objective(self.pair, self.limits), names, values, slopes)
+            sample = self._sample
+            both = localise(Objective(self.pair, self.limits), names, values, slopes, sample)
             first, second = (float(g.values.max()) for g in both.goals)
             self.seen.append(Seen(z, first, second, both.violation))
-            found.append(_scaled(localise(objective, names, values, slopes), unit))
+            found.append(_scaled(localise(objective, names, values, slopes, sample), unit))
         return found
 
 
@@ -362,24 +380,3 @@ def tracer_of(
     """A tracer that computes both goals and what the study's own limits need."""
     both = spec._replace(objective=Objective(pair, spec.objective.limits))
     return Tracer(Problem(study, both), pair, tell, file)
-
-
-def conclude(tracer: Tracer, laws: list[np.ndarray], marks: dict[str, np.ndarray]) -> Front:
-    """Score the laws (on the unit cube) and the marks (gains) afresh; keep what none beats."""
-    problem, free = tracer.problem, tracer.problem.spec.free
-    drives = tracer.every
-    gains = [*(space.to_gains(free, z) for z in laws), *marks.values()]
-    scored = score(problem, gains, drives, problem.study.run.dt, everything(problem))
-    points = [_point(tracer, g, s) for g, s in zip(gains, scored, strict=True)]
-    kept: list[Point] = []
-    for p in sorted((p for p in points[: len(laws)] if p.feasible), key=lambda p: p.goals[::-1]):
-        if not kept or p.goals[0] < kept[-1].goals[0]:
-            kept.append(p)
-    named = dict(zip(marks, points[len(laws) :], strict=True))
-    return Front(tracer.pair, tuple(kept), named, drives, tracer.left_out, tracer.interrupted)
-
-
-def _point(tracer: Tracer, gains: np.ndarray, scores: Scores) -> Point:
-    first, second = (scores.aimed(g) for g in tracer.pair)
-    holds = all(x.excess(scores.limited(x)) <= 0.0 for x in tracer.limits)
-    return Point(gains, (first, second), scores, bool(holds and not scores.status.any()))

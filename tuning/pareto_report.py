@@ -10,14 +10,15 @@ import numpy as np
 from jaxsim import plots
 from jaxsim.components import dump
 from jaxsim.html import Picture, Section, Summary, Table, write_html
+from jaxsim.metric import unit_of
 from jaxsim.objective import Goal
 from jaxsim.provenance import provenance, write_json, write_toml
 from jaxsim.study import Study
 from tuning import space
-from tuning.pareto import WIDE, Front, Point
+from tuning.front import Front, Point
+from tuning.pareto import WIDE
 from tuning.report import write_csv
 from tuning.spec import Spec, describe
-from tuning.words import unit_of
 
 # A law beats a marked one if it is better by this share; rounding is no news.
 _TELLING = 1e-3

@@ -231,7 +231,11 @@ class Session:
         rest = np.setdiff1d(known, self.drives)
         if not len(rest) or best.status == FAILED:
             return False
-        worse = working.worse(self.problem, best, rest)
+        assert best.best is not None
+        assert best.best_local is not None
+        worse = working.worse(
+            self.problem, self.spec.objective, best.best[None], [best.best_local], rest
+        )
         if not len(worse):
             return False
         self.drives = np.concatenate([self.drives, worse])

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxsim.objective import Limit
-from tuning import space
+from jaxsim.objective import Limit, Objective
 from tuning.drive_set import hypercube
-from tuning.local import RESERVE, size
+from tuning.local import RESERVE, Local, size
 from tuning.problem import Problem
 from tuning.scoring import Scores, fresh
-from tuning.solver import State
 
-# So many join a search at once: those next to the worst are cured with it.
-_JOIN = 32
+# So many join a search of one law at once: those next to the worst are cured with it. Of several
+# laws each has a share, but not fewer than the second number.
+_JOIN, _FEWEST = 32, 4
 
 
 class Check(NamedTuple):
@@ -43,26 +43,43 @@ def excess(scores: Scores, limit: Limit) -> np.ndarray:
     return np.nan_to_num(limit.excess(values) / size(limit), nan=np.inf).max(axis=1)
 
 
-def worse(problem: Problem, state: State, drives: np.ndarray) -> np.ndarray:
-    """Of `drives` (by index) the worst under the best law of a state, beyond those it knows.
+def worse(
+    problem: Problem,
+    objective: Objective,
+    laws: np.ndarray,
+    known: Sequence[Local],
+    drives: np.ndarray,
+) -> np.ndarray:
+    """Of `drives` (by index) the worst under some laws, beyond those that these know.
 
-    A drive whose run fails is among them.
+    laws (n, P): on the unit cube. known: the objective at each, on the drives looked at. A drive
+    whose run fails is among the worst. All laws have the same share of those that join.
     """
-    assert state.best is not None
-    assert state.best_local is not None
-    gains = space.to_gains(problem.spec.free, state.best)
-    scores = _scores(problem, gains, drives)
-    beyond = np.where(scores.status.any(axis=1), np.inf, -np.inf)
-    for limit, known in zip(problem.spec.objective.limits, state.best_local.excess, strict=True):
-        own = excess(scores, limit) + RESERVE - max(float(known), 0.5 * RESERVE)
-        beyond = np.maximum(beyond, own)
-    for goal in (g for g in problem.spec.objective.goals if g.over == "worst"):
-        values = scores.values[goal.metric].reshape(len(drives), -1).max(axis=1)
-        rows = state.best_local.goals[problem.spec.objective.goals.index(goal)].values
-        own = values / float(rows.max()) - 1.0 - RESERVE
-        beyond = np.maximum(beyond, own)
-    order = np.argsort(-beyond, kind="stable")[:_JOIN]
-    return drives[order[beyond[order] > 0.0]]
+    outcome = problem.evaluate(laws, drives, slopes=False)
+    each = max(_JOIN // len(laws), _FEWEST)
+    found: list[int] = []
+    for local, values, status in zip(known, outcome.values, outcome.status, strict=True):
+        failed = status.any(axis=1)
+        far = np.where(failed, np.inf, _beyond(objective, problem.metrics, local, values))
+        order = np.argsort(-far, kind="stable")[:each]
+        found += drives[order[far[order] > 0.0]].tolist()
+    return np.array(list(dict.fromkeys(found)), int)
+
+
+def _beyond(
+    objective: Objective, metrics: tuple[str, ...], known: Local, values: np.ndarray
+) -> np.ndarray:
+    """By what share each drive (values: drives, cases, metrics) is worse than those known."""
+    far = np.full(len(values), -np.inf)
+    for limit, least in zip(objective.limits, known.excess, strict=True):
+        own = limit.excess(values[..., metrics.index(limit.metric)]).max(axis=1) / size(limit)
+        far = np.maximum(far, own + RESERVE - max(float(least), 0.5 * RESERVE))
+    for goal, rows in zip(objective.goals, known.goals, strict=True):
+        if goal.over == "worst":
+            top = float(rows.values.max())
+            own = values[..., metrics.index(goal.metric)].max(axis=1)
+            far = np.maximum(far, (own - top) / (abs(top) or 1.0) - RESERVE)
+    return np.nan_to_num(far, nan=np.inf)
 
 
 def check(problem: Problem, gains: np.ndarray) -> Check | None:

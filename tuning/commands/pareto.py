@@ -31,18 +31,20 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
-    from jaxsim.provenance import make_folder
-    from jaxsim.study import load
+    from jaxsim.options import law_of, opened
+    from jaxsim.provenance import keep_results, make_folder
     from tuning import pareto, pareto_report, space
     from tuning.spec import read_spec
 
-    what = load(study, law=law)
+    what = opened(study, law=law)
     spec = read_spec(what, starts=starts, seed=seed)
     pair = pareto.pair_of(spec.objective, (between, and_))
+    if not resume:
+        keep_results("--out", out / "front.json", out / "checkpoint.json", resumes=True)
     make_folder("--out", out)
     marks = {"study": space.gains_of(what.law, spec.free)}
     if tuned is not None:
-        marks["tuned"] = space.gains_of(load(study, law=tuned).law, spec.free)
+        marks["tuned"] = space.gains_of(law_of(study, "--tuned", tuned), spec.free)
     console = Console()
     try:
         front = traced(what, spec, pair, marks, points or pareto.POINTS, out, console, resume)
@@ -70,7 +72,7 @@ def traced(
     import numpy as np
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from tuning import front_checkpoint, pareto, space
+    from tuning import front, front_checkpoint, pareto, space
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console) as bar:
@@ -88,4 +90,4 @@ def traced(
         starts = np.concatenate([given, space.starting_points(what.law, spec)[1:]])
         laws = tracer.trace(starts, points)
         bar.update(task, description="scoring afresh on the exact model")
-        return pareto.conclude(tracer, laws, marks)
+        return front.conclude(tracer, laws, marks)
