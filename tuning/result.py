@@ -12,12 +12,12 @@ from jaxsim.objective import Limit
 from tuning import certificate as certificates
 from tuning import space, working
 from tuning.certificate import Case, Certificate
-from tuning.conflict import Attained, attained
+from tuning.conflict import Attained, conflict
 from tuning.local import Local, localise, size
 from tuning.problem import Outcome, Problem
 from tuning.scoring import Scores, everything, fresh, score
 from tuning.session import Session
-from tuning.solver import SPENT, State
+from tuning.solver import SPENT, STALLED, State
 
 # A limit whose multiplier is below this share of the cost does not hold the law back.
 _IDLE = 1e-6
@@ -97,10 +97,34 @@ class Result(NamedTuple):
 
 
 def conclude(session: Session) -> Result:
-    """Score the study's law and the best one of a session on the exact model, by fresh runs."""
-    study, problem = session.study, session.problem
+    """Score the study's law and the best one of a session on the exact model, by fresh runs.
+
+    Where a finished search has no feasible law, the one whose worst limit is broken least.
+    """
     drives = np.array([i for i in range(session.spec.count) if i not in session.excluded])
     state = _best(session, drives)
+    found = _judged(session, state, drives)
+    unfinished = session.interrupted or state.status == SPENT
+    if unfinished or all(v.holds for v in found.verdicts):
+        return found
+    seen = conflict(session, state)
+    nearest = _judged(session, seen.nearest, drives)
+    if nearest.feasible:
+        why = "it was met with the goals set aside; --law goes on from it"
+        return nearest._replace(status=STALLED, reason=why)
+    return min(found, nearest, key=_broken)._replace(attained=seen.attained)
+
+
+def _broken(result: Result) -> float:
+    """By what share the worst limit is broken; inf where runs fail."""
+    if result.after.status.any() or result.finer.status.any():
+        return np.inf
+    return max((v.share for v in result.verdicts), default=0.0)
+
+
+def _judged(session: Session, state: State, drives: np.ndarray) -> Result:
+    """The law of a state by fresh runs on these drives."""
+    study, problem = session.study, session.problem
     assert state.best is not None
     assert state.best_local is not None
     gains = space.to_gains(session.spec.free, state.best)
@@ -133,17 +157,8 @@ def conclude(session: Session) -> Result:
         status="interrupted" if session.interrupted else state.status,
         reason="" if session.interrupted else state.reason,
         check=None if session.interrupted else working.check(problem, gains),
-        attained=_attained(session, state, verdicts),
+        attained=(),
     )
-
-
-def _attained(
-    session: Session, state: State, verdicts: tuple[Verdict, ...]
-) -> tuple[Attained, ...]:
-    unfinished = session.interrupted or state.status == SPENT
-    if unfinished or all(v.holds for v in verdicts):
-        return ()
-    return attained(session, state)
 
 
 def _best(session: Session, drives: np.ndarray) -> State:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from jaxsim.hybrid import Exact
+from jaxsim.metric import unit_of
 from jaxsim.objective import Goal
 from jaxsim.status import Status
 from tuning import working
@@ -23,26 +24,6 @@ _SAME = 1e-6
 _TOLD = 0.05
 # So many drives of a kind are named by their numbers.
 _NAMED = 20
-_UNITS = {
-    "per_s": "1/s",
-    "rad_s2": "rad s²",
-    "rad_s": "rad s",
-    "Nm": "Nm",
-    "pct": "%",
-    "deg": "deg",
-    "dB": "dB",
-    "rad": "rad",
-    "J": "J",
-    "Hz": "Hz",
-    "s": "s",
-}  # longest endings first
-
-
-def unit_of(metric: str) -> str:
-    """The unit at the end of a metric's name, as people write it; empty where it has none."""
-    if metric.endswith("speed_rad_s"):
-        return "rad/s"
-    return next((unit for end, unit in _UNITS.items() if metric.endswith(f"_{end}")), "")
 
 
 def quantity(value: float, metric: str, digits: int = 3) -> str:
@@ -120,6 +101,8 @@ def broken_limits(result: Result) -> list[Verdict]:
 def _conflicts(result: Result) -> list[str]:
     """Which limits are in each other's way, and how far each can be met."""
     told = [_attained(x, len(result.attained) > 1) for x in result.attained]
+    if told:
+        told.append("The law that is kept breaks its worst limit least; goals were set aside.")
     rivals = [x.limit.words for x in result.attained if x.others and x.share > 0.0]
     return [f"In conflict: {' and '.join(rivals)}.", *told] if len(rivals) > 1 else told
 
