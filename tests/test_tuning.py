@@ -238,6 +238,35 @@ def test_interrupt_keeps_a_loadable_law_and_resume_ends_where_it_would_have(
     assert len(again.history) == len(finished.history)
 
 
+def test_a_search_on_a_working_set_is_taken_up_after_drives_have_joined(tmp_path: Path) -> None:
+    spread = {"half_gap": "30 %", "J_L": "30 %"}
+    drives = {"count": 64, "screen": 2, "working": 3, "spread": spread}
+    what = study(limits={"largest_torque_Nm": 1.6}, drives=drives)
+    whole, broken, again = (
+        Session(what, read_spec(what), tmp_path / name) for name in ("whole", "part", "part")
+    )
+    whole.search(lambda progress: None)
+
+    def stop(progress: Any) -> None:
+        if len(broken.drives) > 3:
+            raise KeyboardInterrupt
+
+    broken.search(stop)
+    assert broken.interrupted
+    assert broken.final
+    known = broken.drives.copy()
+    resume(again)
+    np.testing.assert_array_equal(again.drives, known)
+    again.search(lambda progress: None)
+    assert not again.interrupted
+    np.testing.assert_array_equal(again.drives, whole.drives)
+    np.testing.assert_allclose(again.best().best, whole.best().best, atol=1e-6)  # type: ignore[arg-type]
+    assert again.progress().cost == pytest.approx(whole.progress().cost, rel=1e-8)
+    assert [row["cost"] for row in again.history] == pytest.approx(
+        [row["cost"] for row in whole.history], rel=1e-6
+    )
+
+
 def test_resume_needs_the_checkpoint_of_the_same_problem(finished: Session, tmp_path: Path) -> None:
     what = study()
     with pytest.raises(InputError, match="needs a checkpoint"):
