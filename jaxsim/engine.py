@@ -14,6 +14,7 @@ each); differentiating through the rejected trials (wrong: they never happened).
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any
 
 import jax
@@ -23,6 +24,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxsim import events
 from jaxsim.hermite import any_member
 from jaxsim.loop import ClosedLoop, When
+from jaxsim.reverse import thrifty
 from jaxsim.status import Status
 from jaxsim.steps import Carry, Mark, Piece, micro_step, now, sound
 
@@ -30,10 +32,7 @@ Scalar = Any
 
 # Micro-steps per event: the rejected trial, the landing, and sometimes a second landing.
 _PER_EVENT = 3
-# Reverse mode keeps one carry per chunk and recomputes the chunk; without events to locate, what
-# diverged is put back to where its chunk began. A second checkpoint around each
-# micro-step saves no memory at this size and makes gradients a third slower.
-_CHUNK = 64
+_LEAST_CHUNK = 64
 
 
 def budget(loop: ClosedLoop, ticks: int) -> int:
@@ -84,13 +83,14 @@ def _scanned(
 
     Chunks after the last arrival are skipped: a fifth of a run's steps is room for events.
     """
-    chunks = -(-steps // _CHUNK)
+    chunks = -(-steps // _chunk(steps))
 
     def micro(c: Carry, _: None) -> tuple[Carry, Mark | None]:
         return micro_step(loop, c, until, metrics, stored)
 
     def chunk(c: Carry) -> tuple[Carry, Mark | None]:
-        new, marks = jax.lax.scan(micro, c, None, length=-(-steps // chunks))
+        kept = thrifty(micro, loop.located, "step")
+        new, marks = jax.lax.scan(kept, c, None, length=-(-steps // chunks))
         return new if loop.located else sound(c, new), marks
 
     def idle(c: Carry) -> tuple[Carry, Mark | None]:
@@ -100,7 +100,7 @@ def _scanned(
     def going(c: Carry, _: None) -> tuple[Carry, Mark | None]:
         return jax.lax.cond(any_member(_active(c, until)), chunk, idle, c)
 
-    carry, marks = jax.lax.scan(jax.checkpoint(going), carry, None, length=chunks)
+    carry, marks = jax.lax.scan(thrifty(going, loop.located, "chunk"), carry, None, length=chunks)
     if stored:
         marks = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), marks)
     return carry, marks
@@ -122,7 +122,7 @@ def _arrived(loop: ClosedLoop, carry: Carry, until: Any, metrics: Any, steps: in
         return micro_step(loop, c, until, metrics, False)[0], count + 1
 
     def block(state: tuple[Carry, Scalar]) -> tuple[Carry, Scalar]:
-        last = jnp.minimum(state[1] + _CHUNK, steps)
+        last = jnp.minimum(state[1] + _chunk(steps), steps)
 
         def inside(state: tuple[Carry, Scalar]) -> Scalar:
             return any_member(state[0].tick < until) & (state[1] < last)
@@ -155,6 +155,15 @@ def _(steps: int, primals: Any, tangents: Any) -> tuple[Carry, Carry]:
         [v for v, m in zip(leaves, moves, strict=True) if m],
         [v for v, m in zip(slopes, moves, strict=True) if m],
     )
+
+
+def _chunk(steps: int) -> int:
+    """Steps between two looks at whether all have arrived.
+
+    Reverse mode keeps the carries of all chunks and of the steps of one: that is least at the root.
+    Without events to locate, what diverged is put back to where its chunk began.
+    """
+    return max(_LEAST_CHUNK, math.isqrt(steps))
 
 
 def _active(c: Carry, until: Any) -> Scalar:
