@@ -196,11 +196,15 @@ def _member(how: _How, model: Model, read: tuple[Readings, Any], values: Any, sc
             own.drive, own.law, own.scenario,
             dt=how.dt, deadzone=how.deadzone, metrics=(), store=how.store, throw=False, until=until,
         )  # fmt: skip
-        rows = [
-            reading(run.signals, name, sensor, readings.times[i], how.store * how.dt)
-            for i, (name, sensor) in enumerate(zip(how.signals, own.sensors, strict=True))
-        ]
+        rows, known = zip(
+            *(
+                reading(run.signals, name, sensor, readings.times[i], how.store * how.dt)
+                for i, (name, sensor) in enumerate(zip(how.signals, own.sensors, strict=True))
+            ),
+            strict=True,
+        )
         found = (jnp.stack(rows) - readings.values) / readings.noise[:, None]
+        found = jnp.where(jnp.stack(known), found, 0.0)
         # An invalid member (a broken rule) still runs; its numbers must not count.
         found = jnp.where(run.status == Status.INVALID.value, jnp.nan, found)
         return jnp.where(readings.used, found, 0.0), (run.status, _contact(run.signals))
@@ -220,10 +224,12 @@ def _contact(signals: Any) -> Any:
     return jnp.stack([jnp.sum(sides > 0.0), jnp.sum(sides < 0.0)]) / jnp.maximum(reached, 1)
 
 
-def reading(signals: Any, name: str, sensor: Sensor, times: Any, h: float) -> Any:
-    """What a sensor reads at `times` (s) of stored signals with a spacing of h (s).
+def reading(signals: Any, name: str, sensor: Sensor, times: Any, h: float) -> tuple[Any, Any]:
+    """What a sensor reads at `times` (s) of stored signals with a spacing of h (s), and if it does.
 
     Between the stored instants: cubics for angles, whose rates are stored too, else straight lines.
+    Not known is a torque between two instants of which one is in contact and one is not: it jumps
+    at an impact, and a straight line is off by thirty times the noise of the bench's sensor.
     """
     base, index = signal_name(name)
     values = _axis(signals[base], index)
@@ -239,7 +245,11 @@ def reading(signals: Any, name: str, sensor: Sensor, times: Any, h: float) -> An
         found = a + u * (b - a) + bend * ((1.0 - u) * (da - b + a) + u * (b - a - db))
     else:
         found = a + u * (b - a)
-    return sensor.scale * found + sensor.offset
+    known = jnp.full(times.shape, True)
+    if base == "T_s":
+        side = _axis(signals["contact"], index)
+        known = (side[i] == side[i + 1]) | (u <= _ON_TICK)
+    return sensor.scale * found + sensor.offset, known
 
 
 def signal_name(name: str) -> tuple[str, int | None]:
