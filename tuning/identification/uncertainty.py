@@ -79,8 +79,8 @@ def covariance(
     """
     who = np.arange(len(problem.experiments)) if who is None else who
     r, used = seen.residuals[row], problem.readings.used[who]
-    scale = _sizes(problem, values)
-    J = _global(problem, seen.jacobian[row], who) * scale
+    scale = sizes(problem, values)
+    J = by_columns(problem, seen.jacobian[row], who) * scale
     weight = loss.weight(r)
     white = tuple(
         tuple(whiteness(r[e, s][used[e, s]]) for s in range(r.shape[1])) for e in range(r.shape[0])
@@ -99,25 +99,25 @@ def covariance(
     count = sum(t.count / t.inflation for own in white for t in own)
     freedom = max(count - size, 1.0)
     total = sum(t.count for own in white for t in own)
-    inverse = _inverse(A)
-    matrix = inverse @ middle @ inverse * (total / max(total - size, 1.0))
+    back = inverse(A)
+    matrix = back @ middle @ back * (total / max(total - size, 1.0))
     coloured = not all(t.white for own in white for t in own)
     if coloured and logs >= max(_MANY, 2 * size):
-        matrix = inverse @ (scores.T @ scores) @ inverse * (logs / (logs - size))
+        matrix = back @ (scores.T @ scores) @ back * (logs / (logs - size))
         freedom = float(logs - size)
     elif coloured:
-        matrix = _at_least(matrix, inverse @ B @ inverse * (total / max(total - size, 1.0)))
+        matrix = _at_least(matrix, back @ B @ back * (total / max(total - size, 1.0)))
     outer = scale[:, None] * scale[None, :]
-    return Covariance(matrix * outer, inverse * outer, A / outer, white, coloured, freedom)
+    return Covariance(matrix * outer, back * outer, A / outer, white, coloured, freedom)
 
 
-def _sizes(problem: Problem, values: np.ndarray) -> np.ndarray:
+def sizes(problem: Problem, values: np.ndarray) -> np.ndarray:
     """(P,) a natural size of each unknown, so that matrices of mixed units can be inverted."""
     spans = np.array([f.upper - f.lower for f in problem.unknowns.free])[problem.unknowns.of]
     return np.where(np.abs(values) > 1e-3 * spans, np.abs(values), spans)
 
 
-def _global(problem: Problem, jacobian: np.ndarray, who: np.ndarray) -> np.ndarray:
+def by_columns(problem: Problem, jacobian: np.ndarray, who: np.ndarray) -> np.ndarray:
     """(E, signals, samples, P) from the derivatives by each experiment's own parameters."""
     columns = problem.unknowns.columns()[who]
     full = np.zeros((*jacobian.shape[:-1], len(problem.unknowns.of)))
@@ -126,7 +126,7 @@ def _global(problem: Problem, jacobian: np.ndarray, who: np.ndarray) -> np.ndarr
     return full
 
 
-def _inverse(A: np.ndarray) -> np.ndarray:
+def inverse(A: np.ndarray) -> np.ndarray:
     """The inverse, with what is not determined given a large variance instead of none."""
     values, vectors = np.linalg.eigh(0.5 * (A + A.T))
     floor = max(float(values.max()), 1e-300) * 1e-14
