@@ -25,7 +25,8 @@ class Text(NamedTuple):
 class Table(NamedTuple):
     """A table with a caption; numbers are shown with five significant digits.
 
-    rows: per line as many cells as `header` has names. numbers (floats) align right.
+    rows: per line as many cells as `header` has names; None is a dash. Columns of numbers align
+    right, as do numbers among words.
     """
 
     caption: str
@@ -58,6 +59,11 @@ class Summary(NamedTuple):
     mood: Literal["good", "bad", "plain"] = "plain"
 
 
+def words(unit: str) -> str:
+    """A unit that stays on one line; that of a pure number is none."""
+    return "" if unit == "1" else unit.replace(" ", "\N{NO-BREAK SPACE}")
+
+
 def write_html(
     path: Path,
     title: str,
@@ -82,12 +88,26 @@ def _template() -> Any:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"cell": _cell, "is_number": _is_number, "kind": _kind, "uri": _uri}
+    environment.filters |= {
+        "cell": _cell,
+        "is_number": _is_number,
+        "numeric": _numeric,
+        "kind": _kind,
+        "uri": _uri,
+    }
     return environment.from_string(source)
 
 
 def _kind(part: Any) -> str:
     return type(part).__name__
+
+
+def _numeric(table: Table) -> list[bool]:
+    """Whether each column aligns right: what stands in it are numbers, or nothing."""
+    columns = [
+        [r[i] for r in table.rows if r[i] not in (None, "")] for i in range(len(table.header))
+    ]
+    return [bool(column) and all(map(_is_number, column)) for column in columns]
 
 
 def _is_number(value: Any) -> bool:

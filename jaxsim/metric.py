@@ -7,6 +7,7 @@ serve tables, objectives, rewards and limits.
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -17,6 +18,33 @@ from jaxsim.errors import InputError
 from jaxsim.loop import ClosedLoop, When
 
 Scalar = Any
+
+
+_UNITS = {
+    "per_s": "1/s",
+    "rad_s2": "rad s²",
+    "rad_s": "rad s",
+    "Nm": "Nm",
+    "pct": "%",
+    "deg": "deg",
+    "dB": "dB",
+    "rad": "rad",
+    "J": "J",
+    "Hz": "Hz",
+    "s": "s",
+}  # longest endings first
+
+
+def unit_of(metric: str, command: str = "") -> str:
+    """The unit at the end of a metric's name, as people write it; empty where it has none.
+
+    command: the unit of the drive's command, which no name can hold.
+    """
+    if metric.startswith("command_"):
+        return command
+    if metric.endswith("speed_rad_s"):
+        return "rad/s"
+    return next((unit for end, unit in _UNITS.items() if metric.endswith(f"_{end}")), "")
 
 
 class Task(NamedTuple):
@@ -44,10 +72,12 @@ class Metric(eqx.Module):
     is nan in a run whose law follows another kind (an overshoot in rad of a torque law).
 
     `values` names them, each with its unit in the name; the last of each line of the class
-    docstring says what a run that never touches, settles or oscillates gives.
+    docstring says what a run that never touches, settles or oscillates gives. never: the same for
+    tables, name -> (that value, what it says).
     """
 
     values: ClassVar[tuple[str, ...]]
+    never: ClassVar[Mapping[str, tuple[float, str]]] = {}
     reference_unit: ClassVar[str] = "rad"
     task: Task
 

@@ -73,6 +73,15 @@ def test_report_holds_everything_and_needs_no_other_file(tmp_path: Path, picture
     assert anchors == ["#s1", "#s2", "#provenance"], "no file or address outside"
 
 
+def test_what_is_missing_in_a_column_of_numbers_aligns_with_them(tmp_path: Path) -> None:
+    rows = [["a", None, 1.5, "x"], ["b", 2.0, None, None]]
+    table = Table("t", ["name", "first", "second", "words"], rows)
+    write_html(tmp_path / "r.html", "T", Summary("v"), [Section("S", [table])], {})
+    text = (tmp_path / "r.html").read_text("utf-8")
+    cells = re.findall(r"<t[hd]( class=\"number\")?>([^<]*)<", text)
+    assert [bool(right) for right, _ in cells[:12]] == [False, True, True, False] * 3
+
+
 def test_a_picture_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     sections = [Section("Plots", [Picture("none", tmp_path / "none.png")])]
     with pytest.raises(FileNotFoundError):

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from jaxsim._simulate import simulate
 from jaxsim.command import app
 from jaxsim.hybrid import Plain
+from jaxsim.metric import unit_of
 from jaxsim.objective import Limit
 from jaxsim.provenance import write_toml
 from jaxsim.study import from_table
@@ -25,7 +26,7 @@ from tuning.problem import Outcome
 from tuning.result import Result, conclude, prices
 from tuning.session import Session, resume
 from tuning.spec import read_spec
-from tuning.words import price, quantity, sentences, unit_of
+from tuning.words import price, quantity, sentences
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +126,7 @@ def test_price_is_told_in_the_units_of_goal_and_limit(finished: Session, result:
     assert quantity(0.003, "settle_2pct_s") == "3 ms"
     assert unit_of("entry_speed_rad_s") == "rad/s"
     assert unit_of("command_peak") == ""
+    assert unit_of("command_peak", "V") == "V"
 
 
 @pytest.mark.slow

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from jaxsim._certify import STEPS
-from jaxsim.html import Picture, Section, Summary, Table, Text, write_html
+from jaxsim.html import Picture, Section, Summary, Table, Text, words, write_html
+from jaxsim.metric import unit_of
 from jaxsim.provenance import provenance
 from tuning.certificate import PAIR
 from tuning.report import Line, lines, sensitivity_table
 from tuning.result import Result, Verdict
 from tuning.session import Session
-from tuning.words import at_bound, sentences, unit_of
+from tuning.words import at_bound, sentences
 
 
 def write(session: Session, result: Result, out: Path, more: Sequence[Section] = ()) -> None:
@@ -81,7 +82,7 @@ def _goals(session: Session, result: Result) -> Table:
     """Before and after, metrics of the objective only."""
     table = lines(session, result)
     rows = [
-        [name, unit_of(name).replace(" ", "\N{NO-BREAK SPACE}"), when, *line]
+        [name, words(unit_of(name)), when, *line]
         for name in session.problem.metrics
         for when, line in zip(("before", "after"), table[name], strict=True)
     ]

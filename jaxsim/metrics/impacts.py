@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -63,6 +65,11 @@ class Impacts(Metric):
         "T_s_max_Nm",
         "T_s_min_Nm",
     )
+    never: ClassVar[Mapping[str, tuple[float, str]]] = {
+        "first_contact_s": (math.inf, "no contact"),
+        "first_separation_s": (math.inf, "no separation"),
+        "braking_contact_s": (math.inf, "none on the other side"),
+    }
 
     def start(self) -> Any:
         zero = jnp.zeros_like(self.task.target)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ class LimitCycle(Metric):
         "limit_cycle_Hz",
         "limit_cycle_growth",
     )
+    never: ClassVar[Mapping[str, tuple[float, str]]] = {"limit_cycle_Hz": (0.0, "no limit cycle")}
 
     def start(self) -> Any:
         zero = jnp.zeros_like(self.task.target)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -37,6 +39,11 @@ class Response(Metric):
         "settle_2pct_s",
         "final_error_rad",
     )
+    never: ClassVar[Mapping[str, tuple[float, str]]] = {
+        "rise_10_90_s": (math.inf, "90 % is never reached"),
+        "t50_s": (math.inf, "50 % is never reached"),
+        "settle_2pct_s": (math.inf, "not within 2 % at the end"),
+    }
 
     def start(self) -> Any:
         never = jnp.zeros_like(self.task.target) + jnp.inf

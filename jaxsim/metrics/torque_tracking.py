@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -29,6 +31,9 @@ class TorqueTracking(Metric):
         "torque_overshoot_pct",
         "torque_settle_2pct_s",
     )
+    never: ClassVar[Mapping[str, tuple[float, str]]] = {
+        "torque_settle_2pct_s": (math.inf, "not within 2 % at the end"),
+    }
     reference_unit: ClassVar[str] = "Nm"
 
     def start(self) -> Any:
