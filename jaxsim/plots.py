@@ -75,29 +75,35 @@ def figure(path: Path, rows: int = 1, columns: int = 1, **options: Any) -> Itera
 
 
 def responses(path: Path, runs: Mapping[str, Any], names: tuple[str, ...], title: str) -> None:
-    """Signals of stored one-axis runs over time, one row per signal and one line per run.
+    """Signals of stored runs over time, one row per signal and one line per run and axis.
 
     The reference of the first run is drawn where it belongs: with the load angle in rad, or with
     the joint torque in Nm.
     """
     first = next(iter(runs.values()))
-    followed = {"rad": "theta_L", "Nm": "T_s"}.get(first.units["reference"])
-    with figure(
-        path, len(names), sharex=True, squeeze=False, size=(8.0, 2.1 * len(names) + 0.6)
-    ) as axes:
-        for ax, name in zip(axes[:, 0], names, strict=True):
+    followed = {"rad": "theta_L", "Nm": "T_s"}.get(first.units["reference"], "")
+    size = (8.0, 2.1 * len(names) + 0.6)
+    with figure(path, len(names), sharex=True, squeeze=False, size=size) as axes:
+        rows = dict(zip(names, axes[:, 0], strict=True))
+        for name, ax in rows.items():
             for label, run in runs.items():
-                colour = COLOURS.get(label)
-                ax.plot(1e3 * np.asarray(run.time), run.signals[name], label=label, color=colour)
-            if name == followed:
-                reference = first.signals["reference"]
-                ax.plot(
-                    1e3 * np.asarray(first.time), reference, ":", color="0.3", label="reference"
-                )
+                _draw(ax, run, name, label)
             ax.set_ylabel(LABELS.get(name, name))
+        legend = rows.get(followed, axes[0, 0])
+        if followed in rows:
+            _draw(legend, first, "reference", "reference", linestyle=":", color="0.3")
+        legend.legend(ncols=min(len(legend.lines), 3))
         axes[0, 0].set_title(title)
-        axes[0, 0].legend(ncols=len(runs) + 1)
         axes[-1, 0].set_xlabel("time [ms]")
+
+
+def _draw(ax: Any, run: Any, name: str, label: str, **look: Any) -> None:
+    """A signal of a run, one line per axis; of several axes in colours of their own."""
+    values = np.asarray(run.signals[name]).reshape(len(run.time), -1)
+    for axis, column in enumerate(values.T):
+        own = {} if values.shape[1] > 1 else {"color": COLOURS.get(label)}
+        told = f"{label}, axis {axis}" if values.shape[1] > 1 else label
+        ax.plot(1e3 * np.asarray(run.time), column, label=told, **(own | look))
 
 
 def logarithmic(ax: Any, which: str) -> None:

@@ -51,6 +51,19 @@ def make_folder(option: str, folder: Path) -> None:
         raise InputError(option, rule, why, "name another place") from None
 
 
+def keep_results(option: str, *files: Path, resumes: bool = False) -> None:
+    """Results are not overwritten, by no command.
+
+    files: the ones that tell that there are results. resumes: whether --resume goes on from them.
+
+    Raises: InputError where one of them exists.
+    """
+    fix = "name another place" + (", or go on from this one with --resume" if resumes else "")
+    for file in files:
+        if file.exists():
+            raise InputError(option, "must not hold results already", file, fix)
+
+
 def write_json(path: Path, content: Any) -> None:
     """Numbers, lists and tables as indented JSON; nan and inf as null, which JSON has."""
     text = json.dumps(_plain(content), indent=1, allow_nan=False)

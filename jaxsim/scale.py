@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxsim.errors import InputError
-from jaxsim.provenance import write_json
+from jaxsim.provenance import keep_results, write_json
 
 Arrays = dict[str, np.ndarray]
 _PLAN = "plan.json"
@@ -109,8 +109,7 @@ def prepare(folder: Path, plan: Any, *, resume: bool) -> None:
     file = folder / _PLAN
     if file.exists():
         if not resume:
-            fix = "add --resume to go on, or name another folder"
-            raise InputError("--out", "must be a new folder", str(folder.parent), fix)
+            keep_results("--out", file, resumes=True)
         if json.loads(file.read_text("utf-8"))["mark"] != mark:
             rule = "must go on with the same study, values and seed"
             raise InputError("--resume", rule, str(folder.parent), "name another folder")

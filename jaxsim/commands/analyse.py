@@ -29,12 +29,12 @@ def command(
     from rich.console import Console
 
     from jaxsim.analysis import analyse
-    from jaxsim.commands.simulate import pairs
-    from jaxsim.provenance import make_folder
-    from jaxsim.study import load, with_values
+    from jaxsim.options import opened
+    from jaxsim.provenance import keep_results, make_folder
 
-    what = with_values(load(study, law=law), pairs(change or []))
+    what = opened(study, law=law, change=change)
     if out is not None:
+        keep_results("--out", out / "analysis.json")
         make_folder("--out", out)
     found = analyse(what, None if at is None else _angles(at))
     console = Console()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +22,9 @@ def command(
     scenario: Annotated[
         str | None, typer.Option(help="Of a study with several; default: the first.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for certificate.json.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for certificate.json, a picture, report.html.")
+    ] = None,
 ) -> None:
     """Check a study's gradients against finite differences of the located run."""
     import jaxsim
@@ -31,34 +32,34 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
+    from jaxsim import certificate_report, tree
     from jaxsim._certify import certify
-    from jaxsim.provenance import make_folder, provenance, write_json
-    from jaxsim.study import load
+    from jaxsim.errors import called
+    from jaxsim.objective import check_name
+    from jaxsim.options import opened
+    from jaxsim.provenance import keep_results, make_folder
+    from jaxsim.study import owner_of
 
-    what = load(study, law=law).in_scenario(scenario)
+    what = opened(study, law=law, scenario=scenario)
+    for name in metric or []:
+        check_name(name, "--metric")
+    for name in parameter or []:
+        with called("--parameter"):
+            owner_of(what, name)
     wanted = what.objective.metrics() if what.objective else ("first_impact_Nm", "itae_rad_s2")
     console = Console()
     if out is not None:
+        keep_results("--out", out / "certificate.json")
         make_folder("--out", out)
     with console.status("Gradients forward, reverse and by differences ..."):
-        names = parameter or [f"law.{path}" for path in _numbers(what.law)]
+        names = parameter or [f"law.{path}" for path in tree.numbers(what.law)]
         rows = certify(what, names, metric or wanted)
     console.print(table(rows, what.name))
     if out is not None:
-        content = {"study": what.name, "rows": [row._asdict() for row in rows]}
-        write_json(out / "certificate.json", content | provenance(dtype=what.run.dtype))
-        console.print(f"Wrote {out / 'certificate.json'}")
+        certificate_report.write(out, what, rows)
+        console.print(f"Wrote {', '.join(certificate_report.FILES)} to {out}")
     if any(row.verdict == "wrong" for row in rows):
         raise typer.Exit(1)
-
-
-def _numbers(law: Any) -> list[str]:
-    """Paths of the parameters that are one number: not the arrays, such as Gammas per joint."""
-    import numpy as np
-
-    from jaxsim import tree
-
-    return [path for path in tree.paths(law) if np.ndim(tree.get(law, path)) == 0]
 
 
 def table(rows: list[Any], name: str) -> Any:
@@ -67,6 +68,7 @@ def table(rows: list[Any], name: str) -> Any:
     from rich.table import Table
 
     from jaxsim._certify import STEPS
+    from jaxsim.certificate_report import short
 
     shown = Table(
         title=f"{name}: p * d metric/dp, in SI",
@@ -78,7 +80,7 @@ def table(rows: list[Any], name: str) -> Any:
     for column in ("gradient", "-reverse", *(f"diff {h:g}" for h in STEPS[1:3])):
         shown.add_column(column, justify="right", no_wrap=True)
     shown.add_column("", no_wrap=True)
-    names = _short(list(dict.fromkeys(r.parameter for r in rows)))
+    names = short(rows)
     for i, r in enumerate(rows):
         if i == 0 or r.metric != rows[i - 1].metric:
             shown.add_row(f"[bold]{r.metric}[/]")
@@ -90,10 +92,3 @@ def table(rows: list[Any], name: str) -> Any:
             f" {names[r.parameter]}", gradient, apart, *differences, f"[{style}]{r.verdict}[/]"
         )
     return shown
-
-
-def _short(paths: list[str]) -> dict[str, str]:
-    """The last step of each path, or all of it where two paths end alike."""
-    tails = {path: path.rpartition(".")[2] for path in paths}
-    counts = Counter(tails.values())
-    return {path: tail if counts[tail] == 1 else path for path, tail in tails.items()}

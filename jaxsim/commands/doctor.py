@@ -18,8 +18,10 @@ def command(
     from rich.console import Console
 
     from jaxsim.doctor import as_table, examine
-    from jaxsim.provenance import provenance, write_json
+    from jaxsim.provenance import keep_results, provenance, write_json
 
+    if out is not None:
+        keep_results("--out", out)
     console = Console()
     with console.status("Looking, and timing for two seconds ..."):
         findings = examine()

@@ -23,22 +23,23 @@ def command(
     from rich.console import Console
 
     from jaxsim.errors import InputError
-    from jaxsim.study import load
+    from jaxsim.options import opened
 
     if kind not in ("c", "mjcf"):
         raise InputError.unknown("kind", kind, ("c", "mjcf"))
-    what = load(study, law=law)
+    what = opened(study, law=law)
     words = _c(what, out, period, single) if kind == "c" else _mjcf(what, out)
     Console().print("\n".join(words), soft_wrap=True)
 
 
 def _c(study: Any, out: Path, period: str | None, single: bool) -> list[str]:
     from jaxsim.export.c_code import sampled_at, write_c
-    from jaxsim.provenance import make_folder, provenance
+    from jaxsim.provenance import keep_results, make_folder, provenance
     from jaxsim.quantity import to_si
 
     every = None if period is None else float(to_si(_number(period), "s", "--period"))
     law = sampled_at(study.law, every)
+    keep_results("--out", out / "law.c", out / "law.h")
     make_folder("--out", out)
     ratios = tuple(float(t.ratio) for t in study.drive.transmission)
     about = {"study": study.name, **_limits(study.drive)}
@@ -70,8 +71,9 @@ def _number(text: str) -> Any:
 
 def _mjcf(study: Any, out: Path) -> list[str]:
     from jaxsim.export.mjcf import write_mjcf
-    from jaxsim.provenance import make_folder, provenance
+    from jaxsim.provenance import keep_results, make_folder, provenance
 
+    keep_results("--out", out)
     make_folder("--out", out.parent)
     remarks = write_mjcf(out, study.drive, {"study": study.name, **provenance()})
     return [f"Wrote {out}", *(f"not the same in MuJoCo: {words}" for words in remarks)]

@@ -25,9 +25,10 @@ def command(
     from jaxsim.components import dump
     from jaxsim.errors import InputError
     from jaxsim.gain_sheet import import_gains
-    from jaxsim.provenance import provenance, write_toml
+    from jaxsim.provenance import keep_results, provenance, write_toml
     from jaxsim.study import load
 
+    keep_results("--out", out)
     names = {}
     for text in rename or []:
         name, equals, parameter = text.partition("=")

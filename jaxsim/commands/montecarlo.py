@@ -33,10 +33,10 @@ def command(
 
     from jaxsim import montecarlo as mc
     from jaxsim import scale
+    from jaxsim.options import opened
     from jaxsim.provenance import make_folder
-    from jaxsim.study import load
 
-    what = load(study, law=law).in_scenario(scenario)
+    what = opened(study, law=law, scenario=scenario)
     job = mc.job_of(what, mc.ranges_of(what, _pairs(vary or [])), seed)
     make_folder("--out", out)
     folder = out / "chunks"

@@ -21,9 +21,11 @@ def command(
     jaxsim.configure(x64=False)
     from rich.console import Console
 
+    from jaxsim.provenance import keep_results
     from rl import store
     from rl.onnx_file import export
 
+    keep_results("--out", out)
     difference = export(store.read_policy(folder), out)
     console = Console()
     console.print(f"Actions in onnxruntime differ by at most {difference:.2g} from the policy's.")

@@ -31,10 +31,11 @@ def command(
     from rich.console import Console
 
     from envs.environment import build
-    from jaxsim.provenance import make_folder
+    from jaxsim.provenance import keep_results, make_folder
     from rl import store
     from rl.sb3 import network_of_zip
 
+    keep_results("--out", out / "policy.json")
     make_folder("--out", out)
     policy = store.law_of(build(task), network_of_zip(model, algo))
     store.write_policy(out, policy, f"{algo} on {task}, from {model.name}")

@@ -27,7 +27,7 @@ def command(
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder.")] = False,
 ) -> None:
     """Train an agent: analytic policy gradients, or PPO, SAC, TD3 of stable-baselines3."""
-    from jaxsim.commands.simulate import pairs
+    from jaxsim.options import pairs
     from jaxsim.scale import Where
     from rl.spec import read_spec
     from rl.store import read_spec_of
@@ -53,11 +53,11 @@ def command(
     jaxsim.configure(x64=False)
     from rich.console import Console
 
-    from jaxsim.provenance import make_folder
+    from jaxsim.provenance import keep_results, make_folder
 
-    make_folder("--out", out)
     if not resume:
-        _keep_what_is_there(out)
+        keep_results("--out", out / "state.json", resumes=True)
+    make_folder("--out", out)
     console = Console()
     with console.status("Setting up ..."):
         session = _session(spec, out, resume)
@@ -77,16 +77,15 @@ def _train_many(specs: list[Any], out: Path, where: Any, resume: bool) -> None:
     from rich.console import Console
 
     from jaxsim.components import read_json
-    from jaxsim.provenance import make_folder
+    from jaxsim.provenance import keep_results, make_folder
     from rl.commands._progress import train_under_a_bar
     from rl.figures import learning
     from rl.store import read_rows
 
-    make_folder("--out", out)
     named = [(f"seed-{spec.seed}", spec) for spec in specs]
     if not resume:
-        for name, _ in named:
-            _keep_what_is_there(out / name)
+        keep_results("--out", *(out / name / "state.json" for name, _ in named), resumes=True)
+    make_folder("--out", out)
     console = Console()
     try:
         train_under_a_bar(named, out, where, console)
@@ -104,12 +103,6 @@ def _train_many(specs: list[Any], out: Path, where: Any, resume: bool) -> None:
 def _refuse_changes() -> None:
     fix = "leave out --set, or train into another folder"
     raise InputError("--resume", "goes on with the spec in the folder", "--set", fix)
-
-
-def _keep_what_is_there(out: Path) -> None:
-    if (out / "state.json").exists():
-        fix = "add --resume to go on, or name another folder"
-        raise InputError("--out", "must not hold a training already", out, fix)
 
 
 def _session(spec: Any, out: Path, resume: bool) -> Any:

@@ -21,13 +21,14 @@ def command(
     from rich.table import Table
 
     from jaxsim import configure, load
-    from jaxsim.provenance import make_folder
+    from jaxsim.provenance import keep_results, make_folder
     from tuning.identification import design
     from tuning.identification.spec import read_spec
 
     configure()
     what = load(study)
     spec = read_spec(what)
+    keep_results("--out", out / "result.json")
     make_folder("--out", out)
     console = Console()
     with console.status("Simulating the candidates ..."):

@@ -37,8 +37,8 @@ def command(
     what = load(study)
     spec = read_spec(what, starts=starts, seed=seed)
     spec = spec if logs is None else spec._replace(folder=logs)
-    make_folder("--out", out)
     chunks = _chunks(out, resume)
+    make_folder("--out", out)
     console = Console()
     try:
         with Team(Where(scheduler, workers)) as team:
@@ -59,11 +59,12 @@ def _chunks(out: Path, resume: bool) -> Path:
     Raises: InputError where there are some that nobody asks for, or none to go on from.
     """
     from jaxsim.errors import InputError
+    from jaxsim.provenance import keep_results
 
     chunks = out / "chunks"
-    if chunks.exists() and not resume:
-        fix = "add --resume to go on, or name another folder"
-        raise InputError("--out", "must not hold a search that was stopped", out, fix)
+    if not resume:
+        keep_results("--out", chunks, resumes=True)
+        keep_results("--out", out / "result.json")
     if resume and not chunks.exists():
         rule = "needs a search that was stopped"
         raise InputError("--resume", rule, f"no {chunks}", "leave --resume out")

@@ -21,10 +21,13 @@ def command(
     """
     from rich.console import Console
 
-    from jaxsim.provenance import make_folder
+    from jaxsim.provenance import keep_results, make_folder
     from tuning.identification import inspection
     from tuning.log import read_log
 
+    if out is not None:
+        keep_results("--out", out / "report.html")
+        make_folder("--out", out)
     opened = read_log(log, row)
     stamps = time or inspection.find_time(opened)
     if stamps is not None:
@@ -37,7 +40,6 @@ def command(
     for line in words:
         console.print(line, markup=False)
     if out is not None:
-        make_folder("--out", out)
         _write(opened, stamps, tables, words, out)
         console.print(f"Wrote plots and report.html: {out}", markup=False)
 

@@ -36,20 +36,21 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
-    from jaxsim.provenance import make_folder
-    from jaxsim.study import load
+    from jaxsim.options import law_of, opened
+    from jaxsim.provenance import keep_results, make_folder
     from tuning import gain_map, gain_map_report
 
-    what = load(study, law=law).in_scenario(scenario)
+    what = opened(study, law=law, scenario=scenario)
     count = points or gain_map.POINTS
     across = gain_map.axis_of(what, "--x", x, x_range, count)
     upwards = gain_map.axis_of(what, "--y", y, y_range, count)
     names = tuple(metric) if metric else gain_map.usual(what)
+    keep_results("--out", out / "map.json")
     make_folder("--out", out)
     console = Console()
     marks = {"study": gain_map_report.marked(what.law, across, upwards)}
     if tuned is not None:
-        other = load(study, law=tuned).law
+        other = law_of(study, "--tuned", tuned)
         marks["tuned"] = gain_map_report.marked(other, across, upwards)
     with console.status(f"{count} x {count} laws: runs and poles ..."):
         found = gain_map.survey(what, across, upwards, names)

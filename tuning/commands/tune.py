@@ -34,19 +34,19 @@ def command(
     import jaxsim
 
     jaxsim.configure()
-    from jaxsim.provenance import make_folder
+    from jaxsim.options import opened
+    from jaxsim.provenance import keep_results, make_folder
     from jaxsim.scale import Where
-    from jaxsim.study import load
     from tuning.session import Session
     from tuning.spec import read_spec
     from tuning.workers import sharing
 
-    what = load(study, law=law)
+    what = opened(study, law=law)
     spec = read_spec(what, starts=starts, seed=seed)
     beside = Beside(what, spec, front, plane)
-    make_folder("--out", out)
     if not resume:
-        _refuse_finished(out)
+        keep_results("--out", out / "result.json", out / "checkpoint.json", resumes=True)
+    make_folder("--out", out)
     with sharing(Where(scheduler, workers), out / "chunks", resume=resume) as share:
         _tune(Session(what, spec, out / "checkpoint.json", share), beside, out, resume)
 
@@ -80,18 +80,6 @@ def _tune(session: Any, beside: Beside, out: Path, resume: bool) -> None:
         raise typer.Exit(1)
     if session.excluded:
         raise typer.Exit(3)
-
-
-def _refuse_finished(out: Path) -> None:
-    """Results that took minutes are not overwritten.
-
-    Raises: InputError where the folder holds those of a tuning.
-    """
-    from jaxsim.errors import InputError
-
-    if (out / "result.json").exists():
-        fix = "name another folder, or go on from this one with --resume"
-        raise InputError("--out", "must not hold results already", f"{out}/result.json", fix)
 
 
 class Beside:
