@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxsim import batch, tree
-from jaxsim._simulate import simulate
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Deadzone, Exact
 from jaxsim.study import Study, owner_of
@@ -114,17 +113,7 @@ def _replaced(study: Study, owner: str, owners: Any, p: Any) -> Any:
 
 def _numbers(study: Study, drive: Any, law: Any, metrics: tuple[str, ...]) -> Any:
     """(metrics,), or (metrics, members) for a batch; of several axes, the sum."""
-    run = simulate(
-        drive,
-        law,
-        study.scenario,
-        dt=study.run.dt,
-        deadzone=study.run.deadzone,
-        metrics=metrics,
-        store=None,
-        dtype=study.run.dtype,
-        throw=False,
-    )
+    run = study.measure(metrics, drive=drive, law=law)
     numbers = jnp.stack([run.metrics[name] for name in metrics])
     return numbers.sum(axis=-1) if study.drive.axes > 1 else numbers
 

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field
 
 from jaxsim import tree
+from jaxsim._simulate import simulate
 from jaxsim.catalog import DRIVES
 from jaxsim.components import build, override, read_json, read_toml
 from jaxsim.drive import Drive
@@ -20,6 +21,7 @@ from jaxsim.law import Control, as_joint_law
 from jaxsim.loop import ClosedLoop
 from jaxsim.objective import Objective, read_objective
 from jaxsim.quantity import to_si
+from jaxsim.run import Run
 from jaxsim.scenario import Scenario, Start
 from jaxsim.signal import Signal
 from jaxsim.validation import check
@@ -73,6 +75,31 @@ class Study(NamedTuple):
         if name not in self.scenarios:
             raise InputError.unknown("scenario", name, self.scenarios)
         return self._replace(scenario=self.scenarios[name])
+
+    def measure(
+        self,
+        metrics: tuple[str, ...] | None,
+        *,
+        drive: Any = None,
+        law: Any = None,
+        scenario: Any = None,
+        **options: Any,
+    ) -> Run:
+        """Metrics of the study's run, or of a batch, with its step, deadzone mode and precision.
+
+        drive, law, scenario: in place of its own. options: of `simulate`, in place of its own. No
+        trajectory is kept, and runs that do not complete say so in their status.
+        """
+        usual = {"dt": self.run.dt, "deadzone": self.run.deadzone, "dtype": self.run.dtype}
+        return simulate(
+            self.drive if drive is None else drive,
+            self.law if law is None else law,
+            self.scenario if scenario is None else scenario,
+            metrics=metrics,
+            store=None,
+            throw=False,
+            **(usual | options),
+        )
 
 
 class _Run(BaseModel):

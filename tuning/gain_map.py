@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxsim import batch, tree
-from jaxsim._simulate import simulate
 from jaxsim.analysis import linearisable
 from jaxsim.errors import InputError, called
 from jaxsim.linear import operating, routh
@@ -174,17 +173,8 @@ def _runs(
     study: Study, x: Axis, y: Axis, plane: np.ndarray, metrics: tuple[str, ...]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """All points as one batch; of several axes the value of largest size."""
-    run = simulate(
-        study.drive,
-        batch.spread(study.law, **{x.path: plane[:, 0], y.path: plane[:, 1]}),
-        study.scenario,
-        dt=study.run.dt,
-        deadzone=study.run.deadzone,
-        metrics=metrics,
-        store=None,
-        dtype=study.run.dtype,
-        throw=False,
-    )
+    laws = batch.spread(study.law, **{x.path: plane[:, 0], y.path: plane[:, 1]})
+    run = study.measure(metrics, law=laws)
     status = np.asarray(run.status)
     values = {}
     for name, found in run.metrics.items():

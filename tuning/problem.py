@@ -13,10 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxsim import batch, tree
-from jaxsim._simulate import simulate
 from jaxsim.parameters import violations
 from jaxsim.run import Run
-from jaxsim.scenario import Scenario
 from jaxsim.status import Status
 from jaxsim.study import Study
 from jaxsim.tree import cast
@@ -144,10 +142,11 @@ class Problem:
         """
 
         def numbers(p: Any) -> tuple[Any, Any]:
-            run = self._run(
-                tree.replace(self.study.drive, self._uncertain(drive)),
-                space.with_gains(law, self.spec.free, p),
-                scenario,
+            run = self.study.measure(
+                self.metrics,
+                drive=tree.replace(self.study.drive, self._uncertain(drive)),
+                law=space.with_gains(law, self.spec.free, p),
+                scenario=scenario,
             )
             values = self._columns(run)
             return values, (values, run.status)
@@ -161,13 +160,6 @@ class Problem:
         found = [jnp.asarray(run.metrics[name]) for name in self.metrics]
         return jnp.stack([v if axes > 1 else v[..., None] for v in found], axis=-1)
 
-    def _run(self, drive: Any, law: Any, scenario: Scenario, **options: Any) -> Run:
-        """A run, or a batch of them, as the study has it unless told otherwise."""
-        run = self.study.run
-        usual = {"dt": run.dt, "deadzone": run.deadzone, "metrics": self.metrics}
-        fixed = {"store": None, "dtype": run.dtype, "throw": False}
-        return simulate(drive, law, scenario, **(usual | options), **fixed)
-
     def batch(
         self, place: int, gains: np.ndarray, drives: np.ndarray, scenario: str, **options: Any
     ) -> Run:
@@ -175,11 +167,13 @@ class Problem:
 
         options: dt, deadzone and metrics other than those of the search.
         """
+        options = {"metrics": self.metrics} | options
         law = batch.spread(self.laws[place], **space.leaves(self.spec.free, gains))
         drive, uncertain = self.study.drive, self._uncertain(self.drives[drives])
         if uncertain:
             drive = batch.spread(drive, **uncertain)
-        return self._run(drive, law, self.study.scenarios[scenario], **options)
+        what = self.study.scenarios[scenario]
+        return self.study.measure(**options, drive=drive, law=law, scenario=what)
 
     def evaluate(self, points: np.ndarray, drives: np.ndarray, *, slopes: bool = True) -> Outcome:
         """Laws at unit coordinates (n, P) on drives (d,) by index, each with each.
