@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from scipy import signal
 import jaxsim
 from jaxsim import tree
 from jaxsim.drive import Drive
-from jaxsim.drives.sts3215 import sts3215
 from jaxsim.laws.feedforward import Feedforward
 from jaxsim.laws.servo import Servo
 from jaxsim.loads.inertia import Inertia
@@ -25,6 +23,7 @@ from jaxsim.signals.delayed import Delayed
 from jaxsim.signals.samples import Samples
 from jaxsim.signals.step import Step
 from jaxsim.transmissions.elastic import Elastic
+from tuning.identification.experiment import model_of, wound
 from tuning.identification.mapping import experiments
 from tuning.identification.spec import read_spec
 
@@ -162,18 +161,18 @@ SERVO = DATA / "sts3215_servo" / "raw_100hz.npz"
 @pytest.mark.skipif(not SERVO.exists(), reason="the servo recordings are not in ../shared/data")
 def test_the_servo_model_holds_for_loads_it_was_not_fitted_to() -> None:
     """480 runs with four other loads, from the goal alone: below 14 mrad (published M6: 44.5)."""
-    path = Path(__file__).parents[1] / "benchmarks" / "identify_servo.py"
-    spec = importlib.util.spec_from_file_location("identify_servo", path)
-    assert spec is not None
-    assert spec.loader is not None
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    drive = sts3215()
-    motor, gear = drive.motor[0], drive.transmission[0]
-    fitted = {n: float(getattr(motor, n)) for n in example.UNKNOWNS if hasattr(motor, n)}
-    fitted |= {n: float(getattr(gear, n)) for n in ("K", "D_B", "half_gap")}
-    fitted |= {"theta_0": 0.01734, "K_T": 0.5019, "D_E": 0.9608, "sag": 0.1540, "slew": 4.9947}
-    runs = example.Runs(SERVO)
-    errors = runs.errors(runs.test, fitted | {"reference.delay": 0.02946})
-    assert np.isfinite(errors).sum() == runs.used[runs.test].sum() == 287_916
-    assert np.nanmean(errors) < 14e-3
+    study = jaxsim.load("sts3215_servo")
+    recorded, dt = experiments(study, read_spec(study)._replace(folder=SERVO.parent))
+    held_out = [r.experiment for r in recorded if r.use == "test"]
+    models = [wound(model_of(e)) for e in held_out]
+    parts = (jaxsim.stack([getattr(m, n) for m in models]) for n in ("drive", "law", "scenario"))
+    run = jaxsim.simulate(*parts, dt=dt, deadzone=study.run.deadzone, metrics=(), throw=False)
+    assert not run.failures()
+    used, left = 0, 0.0
+    for experiment, angle in zip(held_out, np.asarray(run.signals["theta_L"]), strict=True):
+        seen = experiment.measurements[0]
+        model = np.interp(seen.times, run.time[0], angle)
+        used += int(seen.used.sum())
+        left += float(np.abs(model - seen.values)[seen.used].sum())
+    assert used == 287_916
+    assert left / used < 14e-3
