@@ -205,7 +205,7 @@ class _Work:
         starts = self._starts(initial)
         who = np.tile(self.train, (len(starts), 1))
         fits = self.fitted(
-            self.problem, starts, who=who, stages=STAGES, loss=self.loss,
+            self.problem, starts, who=who, stages=self.spec.search.stages, loss=self.loss,
             tell=lambda p: self.tell("search", p),
         )  # fmt: skip
         self.interrupted |= fits.interrupted

@@ -11,6 +11,7 @@ from jaxsim.errors import InputError
 from jaxsim.quantity import to_si
 from jaxsim.study import Study
 from jaxsim.validation import check
+from tuning.identification.estimator import STAGES, Stage
 from tuning.identification.experiment import Experiment
 from tuning.identification.robust import LOSSES, Loss, Squares
 from tuning.identification.unknowns import Free, free, path_of, unit_of
@@ -80,6 +81,7 @@ class Search(NamedTuple):
 
     starts: of the search, the study's own values among them; seed: of the others. loss: robust or
     not. tolerance: a fit ends where its next step would gain less than this share of its loss.
+    stages: the shares of the logs that count, one after the other.
     profile: parameters whose loss is traced. bootstrap: samples over the experiments.
     """
 
@@ -88,6 +90,7 @@ class Search(NamedTuple):
     loss: Loss
     iterations: int
     tolerance: float
+    stages: tuple[Stage, ...]
     profile: tuple[str, ...]
     bootstrap: int
     confidence: float
@@ -123,6 +126,7 @@ class _Identify(BaseModel):
     threshold: float = Field(gt=0.0, default=3.0)
     iterations: int = Field(ge=1, default=50)
     tolerance: float = Field(gt=0.0, lt=0.1, default=1e-9)
+    horizons: list[float] = [stage.horizon for stage in STAGES]
     profile: list[str] = []
     bootstrap: int = Field(ge=0, default=0)
     confidence: float = Field(gt=0.5, lt=1.0, default=0.95)
@@ -168,8 +172,8 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
     kind = LOSSES[main.robust]
     loss = kind() if kind is Squares else kind(main.threshold)  # type: ignore[call-arg]
     search = Search(
-        main.starts, main.seed, loss, main.iterations, main.tolerance, tuple(main.profile),
-        main.bootstrap, main.confidence,
+        main.starts, main.seed, loss, main.iterations, main.tolerance, _stages(main.horizons),
+        tuple(main.profile), main.bootstrap, main.confidence,
     )  # fmt: skip
     dt = None if main.dt is None else float(to_si(main.dt, "s", "identify.dt"))
     return Spec(
@@ -183,6 +187,14 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
         study.folder,
         main.structures,
     )
+
+
+def _stages(horizons: list[float]) -> tuple[Stage, ...]:
+    """Shares of the logs that count, one after the other."""
+    if not horizons or horizons[-1] != 1.0 or any(not 0.0 < h <= 1.0 for h in horizons):
+        rule = "must be shares of a log that end with all of it"
+        raise InputError("identify.horizons", rule, horizons, "e.g. [0.1, 0.4, 1.0]")
+    return tuple(Stage(horizon=h) for h in horizons)
 
 
 def read_free(spec: Spec, experiment: Experiment) -> tuple[Free, ...]:
