@@ -27,7 +27,9 @@ def _angle() -> np.ndarray:
     return np.asarray(run.signals["theta_L"])[1:]
 
 
-def _problem(noise: np.ndarray, name: str, lower: float, upper: float) -> Problem:
+def offset_problem(
+    noise: np.ndarray, name: str = "theta_L.offset", lower: float = -0.1, upper: float = 0.1
+) -> Problem:
     """One log of the load's encoder per row of `noise`; the unknown is an offset or a scale."""
     angle = _angle()
     recorded = [
@@ -68,7 +70,7 @@ def _fitted(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 def test_standard_errors_with_coloured_noise_are_those_of_the_closed_form(name: str) -> None:
     """Least squares of y = J p + e: variance J^T C J/(J^T J)^2, C_ij = NOISE^2 COLOUR^|i-j|."""
     lower, upper = (-0.1, 0.1) if name.endswith("offset") else (0.5, 2.0)
-    found, errors = _fitted(_problem(_coloured(128), name, lower, upper))
+    found, errors = _fitted(offset_problem(_coloured(128), name, lower, upper))
     J = np.ones(logs.SAMPLES) if name.endswith("offset") else _angle()
     C = NOISE**2 * toeplitz(COLOUR ** np.arange(logs.SAMPLES))
     truth = float(np.sqrt(J @ C @ J) / (J @ J))
@@ -81,7 +83,7 @@ def test_standard_errors_with_coloured_noise_are_those_of_the_closed_form(name: 
 
 def test_standard_errors_with_white_noise_are_those_of_the_closed_form() -> None:
     noise = NOISE * np.random.default_rng(1).standard_normal((32, logs.SAMPLES))
-    found, errors = _fitted(_problem(noise, "theta_L.offset", -0.1, 0.1))
+    found, errors = _fitted(offset_problem(noise))
     # A fit ends when a thousandth of a standard error would be gained.
     np.testing.assert_allclose(found, noise.mean(axis=1), atol=1e-3 * NOISE / 300**0.5)
     # A standard error from 300 residuals is known to 1/sqrt(600) = 4 %.
@@ -91,7 +93,7 @@ def test_standard_errors_with_white_noise_are_those_of_the_closed_form() -> None
 def test_the_bootstrap_over_experiments_gives_the_error_of_a_mean() -> None:
     """A shared offset is the mean of what the logs have; of n logs its error is scatter/sqrt(n)."""
     own = np.array([0.010, -0.004, 0.031, 0.002, 0.018, -0.020, 0.007, 0.012])
-    problem = _problem(np.tile(own[:, None], logs.SAMPLES), "theta_L.offset", -0.1, 0.1)
+    problem = offset_problem(np.tile(own[:, None], logs.SAMPLES))
     who = np.arange(len(own))
     best = fit(problem, problem.initial()[None]).values[0]
     assert best[0] == pytest.approx(own.mean(), abs=1e-7)

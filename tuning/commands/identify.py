@@ -22,14 +22,16 @@ def command(
     """Identify parameters from measurement logs.
 
     Writes drive.toml (the drive with intervals, for `drive.file` of any study), result.json,
-    tables, plots and report.html. Exit 130 when interrupted: what there was is written, and
-    --resume goes on from the fits that were finished.
+    tables, plots and report.html. Exit 0: every parameter is determined. 1: the record speaks
+    against the model. 3: some parameters are not determined, or logs or structures are left out.
+    130 when interrupted: what there was is written, and --resume goes on from finished fits.
     """
     from rich.console import Console
 
     from jaxsim import configure, load
     from jaxsim.provenance import make_folder
     from jaxsim.scale import Team, Where
+    from tuning.identification import report
     from tuning.identification.chunks import Chunks
     from tuning.identification.spec import read_spec
 
@@ -51,6 +53,8 @@ def command(
         console.print("Interrupted: finished fits are kept; --resume goes on.", style="yellow")
         raise typer.Exit(130)
     shutil.rmtree(chunks)
+    if code := report.exit_code(outcome, rivals):
+        raise typer.Exit(code)
 
 
 def _chunks(out: Path, resume: bool) -> Path:
@@ -98,13 +102,14 @@ def _conclude(study: Any, spec: Any, outcome: Any, rivals: Any, out: Path, conso
     from rich.table import Table
 
     from tuning.identification import figures, page, report
+    from tuning.identification.compare import sentence
 
-    report.write(study, spec, outcome, out)
+    report.write(study, spec, outcome, rivals, out)
     table = Table("parameter", "value", "low", "high", "unit", "verdict")
     for name, value, low, high, unit, _, kind, _, _ in report.rows(outcome):
         table.add_row(name, f"{value:.6g}", f"{low:.6g}", f"{high:.6g}", unit, kind)
     console.print(table)
-    for line in report.sentences(outcome):
+    for line in report.sentences(outcome) + ([sentence(rivals)] if rivals else []):
         console.print(line, markup=False)
     with console.status("Drawing ..."):
         pictures = figures.draw(outcome, out)

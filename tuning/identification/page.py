@@ -9,8 +9,8 @@ import numpy as np
 from jaxsim.html import Picture, Section, Summary, Table, Text, write_html
 from jaxsim.provenance import provenance
 from jaxsim.study import Study
-from tuning.identification.compare import Rival
-from tuning.identification.report import HEAD, LOGS, log_rows, rows, sentences
+from tuning.identification.compare import Rival, sentence
+from tuning.identification.report import HEAD, LOGS, exit_code, log_rows, rows, sentences
 from tuning.identification.session import Outcome
 from tuning.identification.spec import Spec
 
@@ -20,7 +20,9 @@ _METHOD = (
     "model is right; what a wrong model shifts they cannot know: hence the held-out logs.",
     "Determined: the standard error is below 10 % of the parameter's size (of half the width of "
     "its bounds, for those of either sign). Combination: it would be with the others known. Not "
-    "visible: not even then.",
+    "visible: not even then. Contradicted: the record speaks against the model where this unknown "
+    "is concerned (logs or parts of them disagree by more than their errors, more is left of a "
+    "signal than its noise, or the value lies on its bound); its interval does not hold.",
 )
 
 
@@ -29,7 +31,7 @@ def write(
     pictures: list[tuple[str, Path]], out: Path,
 ) -> None:  # fmt: skip
     """report.html, with the pictures embedded."""
-    first, *rest = sentences(outcome)
+    first, *rest = sentences(outcome) + ([sentence(rivals)] if rivals else [])
     known = all(outcome.verdicts[i].kind == "determined" for i in outcome.shown)
     shown = {path.name: Picture(caption, path) for caption, path in pictures}
     fits = [p for name, p in shown.items() if name.startswith("fit_")]
@@ -41,14 +43,15 @@ def write(
             [Table(f"Estimates with {confidence} intervals", HEAD, rows(outcome)), Text(_METHOD)],
         ),
         Section("Logs", [_logs(outcome), *fits]),
-        Section("What is left", [_whiteness(outcome), shown["residuals.png"]]),
+        Section("What is left", [_whiteness(outcome), shown["residuals.png"], _parts(outcome)]),
         Section("How sure", [*_sure(outcome, confidence), *others]),
         Section("The search", [_search(outcome)]),
     ]
     if rivals:
         sections.insert(2, Section("Other structures", [_rivals(outcome, rivals)]))
     about = provenance(seed=spec.search.seed, dtype="float64")
-    mood = "bad" if outcome.doubts else ("good" if known else "plain")
+    wrong = exit_code(outcome) == 1
+    mood = "bad" if wrong else ("good" if known else "plain")
     title = f"Identification of {study.name}"
     write_html(out / "report.html", title, Summary(first, rest, mood), sections, about)
 
@@ -69,6 +72,15 @@ def _whiteness(outcome: Outcome) -> Table:
     ]
     head = ("log", "signal", "rms / noise", "p (Ljung-Box)", "readings per information", "readings")
     return Table("Residuals of the fitted logs", head, table)
+
+
+def _parts(outcome: Outcome) -> Table:
+    head = ("parameter", "chance of this", "spread", "furthest part", "it alone would say")
+    caption = (
+        "Every log in thirds, signal by signal: do the parts agree? Spread: their weighted rms "
+        "distance from the fit. A small chance means that the model leaves something out."
+    )
+    return Table(caption, head, outcome.parts)
 
 
 def _sure(outcome: Outcome, confidence: str) -> list[Table]:
@@ -108,10 +120,19 @@ def _search(outcome: Outcome) -> Table:
 
 
 def _rivals(outcome: Outcome, rivals: list[Rival]) -> Table:
-    head = ("structure", "unknowns", "loss on fitted logs", "loss on held-out logs", "remark")
-    table = [(r.name, r.unknowns, r.train, r.test, r.remark) for r in rivals]
+    head = (
+        "structure",
+        "unknowns",
+        "loss, fitted",
+        "loss, held out",
+        "behind",
+        "preferred",
+        "remark",
+    )
+    table = [(r.name, r.unknowns, r.train, r.test, r.behind, r.preferred, r.remark) for r in rivals]
     caption = (
         "Structures fitted to the same logs. Loss: half the mean square of residuals per reading, "
-        "in the noise of the best one; the held-out logs decide."
+        "in the noise of this study's own. Behind: standard errors above the lowest on held-out "
+        "logs. Preferred: the fewest unknowns among those that are not surely above it."
     )
     return Table(caption, head, table)

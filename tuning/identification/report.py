@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxsim.components import dump
 from jaxsim.provenance import provenance, write_json, write_toml
 from jaxsim.study import Study
+from tuning.identification.compare import Rival, sentence
 from tuning.identification.session import Outcome
 from tuning.identification.spec import Spec
 
@@ -85,21 +87,39 @@ def _relative(outcome: Outcome, e: int, s: int) -> float:
 def sentences(outcome: Outcome) -> list[str]:
     """The result in words, the most important first."""
     kinds = [outcome.verdicts[i].kind for i in outcome.shown]
-    known = kinds.count("determined")
+    known, wrong = kinds.count("determined"), kinds.count("contradicted")
     logs = f"{len(outcome.train)} log{'s' if len(outcome.train) > 1 else ''}"
     first = f"{known} of {len(kinds)} parameters are determined by {logs}"
     if outcome.test.size:
         first += f"; {outcome.test.size} more were held out"
-    first += ", if what follows is settled" if outcome.doubts else ""
+    if wrong:
+        first += f". {wrong} CONTRADICTED: the record itself speaks against the model"
     words = [first + ".", *outcome.doubts]
     words += _held_out(outcome)
     if outcome.interrupted:
         words.append("The search was interrupted: this is the best there was.")
-    for i in outcome.shown:
-        v = outcome.verdicts[i]
-        if v.kind != "determined":
+    return [*words, *_undetermined(outcome), *_remarks(outcome)]
+
+
+def _undetermined(outcome: Outcome) -> list[str]:
+    """The unknowns that are not determined; those that are contradicted alike in one sentence."""
+    alike: dict[str, list[str]] = {}
+    words = []
+    for v in (outcome.verdicts[i] for i in outcome.shown):
+        if v.kind == "contradicted":
+            alike.setdefault(v.why, []).append(v.name)
+        elif v.kind != "determined":
             words.append(f"{v.name} ({v.kind}): {v.why}. To see it: {v.advice}.")
-    return words + _remarks(outcome)
+    return [f"{', '.join(names)} (contradicted): {why}." for why, names in alike.items()] + words
+
+
+def exit_code(outcome: Outcome, rivals: Sequence[Rival] = ()) -> int:
+    """0: all is determined. 1: the record speaks against the model. 3: a part of it was found."""
+    kinds = {outcome.verdicts[i].kind for i in outcome.shown}
+    if outcome.doubts or "contradicted" in kinds:
+        return 1
+    left_out = sum(r.use == "fit" for r in outcome.recorded) > len(outcome.train)
+    return 3 if kinds != {"determined"} or left_out or any(r.remark for r in rivals) else 0
 
 
 def _held_out(outcome: Outcome) -> list[str]:
@@ -136,16 +156,18 @@ def _remarks(outcome: Outcome) -> list[str]:
     return [*rest, f"{told}. The first: {noticed[0]}"] if noticed else rest
 
 
-def write(study: Study, spec: Spec, outcome: Outcome, out: Path) -> None:
+def write(study: Study, spec: Spec, outcome: Outcome, rivals: Sequence[Rival], out: Path) -> None:
     """Each of `FILES`, replaced as a whole; law.toml where gains were identified, too."""
     about = provenance(seed=spec.search.seed, dtype="float64")
-    words = sentences(outcome)
+    words = sentences(outcome) + ([sentence(rivals)] if rivals else [])
     head = "\n".join([f"Identified for {study.name}. {words[0]}", *words[1:], "", *_lines(outcome)])
     tables = {"identified": _identified(outcome, spec), "provenance": about}
     write_toml(out / "drive.toml", {"drive": dump(outcome.drive(study)), **tables}, head)
     if any(p.startswith("law.") for f in outcome.problem.unknowns.free for p in f.paths):
         write_toml(out / "law.toml", {"law": dump(outcome.law(study)), **tables}, head)
-    write_json(out / "result.json", _content(study, spec, outcome, words) | about)
+    content = _content(study, spec, outcome, words)
+    content["structures"] = [r._asdict() for r in rivals]
+    write_json(out / "result.json", content | about)
     write_csv(out / "parameters.csv", HEAD, rows(outcome))
     write_csv(out / "experiments.csv", LOGS, log_rows(outcome))
     write_csv(out / "residuals.csv", *_residuals(outcome))
@@ -196,6 +218,7 @@ def _content(study: Study, spec: Spec, outcome: Outcome, words: list[str]) -> di
         },
         "doubts": outcome.doubts,
         "logs_alone": [a._asdict() for a in outcome.alone],
+        "parts": [p._asdict() for p in outcome.parts],
         "dt": outcome.problem.dt,
         "interrupted": outcome.interrupted,
     }

@@ -7,24 +7,24 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, qmc
+from scipy.stats import qmc
 
 from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.hybrid import Exact
 from jaxsim.status import Status
 from jaxsim.study import Study
-from tuning.identification import uncertainty
-from tuning.identification.doubts import Alone, contradiction, wrong_units
+from tuning.identification import doubts, uncertainty
 from tuning.identification.estimator import STAGES, Fit, Fits, Progress, Stage, fit
 from tuning.identification.experiment import Model, model_of
 from tuning.identification.mapping import Recorded, check_loops, experiments
+from tuning.identification.parts import Pulled, pulled
 from tuning.identification.regression import regressed
 from tuning.identification.residuals import Evaluation, Problem
 from tuning.identification.spec import Spec, read_free
 from tuning.identification.uncertainty import Covariance, Profile
 from tuning.identification.unknowns import with_values
-from tuning.identification.verdict import Verdict, verdicts
+from tuning.identification.verdict import Verdict, contradicted, sizes_of, verdicts
 
 # Signals whose noise nobody gave are weighed by what is left of them, this many times over.
 _ROUNDS = 3
@@ -32,9 +32,7 @@ _SETTLED = 0.1  # weights that change by less than this share are left
 # A profile that goes deeper than the fit by this share of what bounds its interval shows that the
 # fit had not arrived.
 _DEEPER = 0.01
-# Logs alone are compared where there are no more than so many, and told apart below this chance.
-_MOST_ALONE = 24
-_ODD = 1e-4
+_MOST_ALONE = 24  # logs that are fitted alone, too, and compared
 _LAST = (Stage(),)
 
 Tell = Callable[[str, Progress | None], None]
@@ -64,7 +62,8 @@ class Outcome(NamedTuple):
     before: np.ndarray
     profiles: tuple[Profile, ...]
     bootstrap: np.ndarray
-    alone: tuple[Alone, ...]
+    alone: tuple[doubts.Alone, ...]
+    parts: tuple[Pulled, ...]
     remarks: tuple[str, ...]
     doubts: tuple[str, ...]
     interrupted: bool
@@ -145,7 +144,7 @@ class _Work:
         self.fitted: Fit = functools.partial(
             fitted, iterations=search.iterations, tolerance=search.tolerance
         )
-        self.loss, self.doubts = spec.search.loss, list[str]()
+        self.loss, self.doubts = spec.search.loss, list[doubts.Doubt]()
         everyone = np.arange(len(problem.experiments))
         self.test = np.setdiff1d(everyone, train)
         self.interrupted = False
@@ -167,16 +166,18 @@ class _Work:
         interval = uncertainty.intervals(
             self.problem, best, seen.deviation, seen.freedom, confidence
         )
-        judged = verdicts(self.problem, best, seen, there.contact[0][self.train])
         samples, alone = np.zeros((0, len(best))), ()
         if not self.interrupted:
             samples = self._bootstrap(best)
             alone = self._alone(best)
-        self._remark(best, seen, there)
+        pulls = self._doubt(best, seen, there)
+        self._remark(best, seen)
+        judged = verdicts(self.problem, best, seen, there.contact[0][self.train])
+        judged = contradicted(judged, self.doubts, self.problem.unknowns.at_bounds(best))
         return Outcome(
             self.problem, self.recorded, fits, initial, best, seen, interval, tuple(judged), there,
             self.train, self.test, self.error(there), before, profiles, samples, alone,
-            tuple(self.remarks), tuple(self.doubts), self.interrupted,
+            pulls, tuple(self.remarks), tuple(d.words for d in self.doubts), self.interrupted,
         )  # fmt: skip
 
     def _all(self, values: np.ndarray) -> Evaluation:
@@ -321,7 +322,7 @@ class _Work:
             tell=lambda p: self.tell("bootstrap", p), fitted=self.fitted,
         )  # fmt: skip
 
-    def _alone(self, best: np.ndarray) -> tuple[Alone, ...]:
+    def _alone(self, best: np.ndarray) -> tuple[doubts.Alone, ...]:
         """What each log says for itself; and a remark where logs contradict each other."""
         if not 2 <= len(self.train) <= _MOST_ALONE:
             return ()
@@ -340,21 +341,27 @@ class _Work:
         good = np.isfinite(found.loss)
         shared = [i for i, f in enumerate(self.problem.unknowns.free) if not f.own]
         columns = [int(np.flatnonzero(self.problem.unknowns.of == i)[0]) for i in shared]
-        alone = [self._compared(c, found.values[good, c], deviation[good, c]) for c in columns]
-        self.doubts += [contradiction(a) for a in alone if a.p < _ODD]
+        names = self.problem.unknowns.names
+        alone = [
+            doubts.compared(names[c], found.values[good, c], deviation[good, c]) for c in columns
+        ]
+        self.doubts += doubts.contradictions(alone)
         return tuple(alone)
 
-    def _compared(self, column: int, values: np.ndarray, deviation: np.ndarray) -> Alone:
-        weight = 1.0 / np.maximum(deviation, 1e-300) ** 2
-        mean = np.sum(weight * values) / np.sum(weight)
-        statistic = float(np.sum(weight * (values - mean) ** 2))
-        p = float(chi2.sf(statistic, max(len(values) - 1, 1)))
-        # A difference that nobody would notice is none, however sure it is.
-        if np.ptp(values) < 0.05 * abs(mean):
-            p = max(p, _ODD)
-        return Alone(self.problem.unknowns.names[column], values, deviation, p)
+    def _doubt(self, best: np.ndarray, seen: Covariance, there: Evaluation) -> tuple[Pulled, ...]:
+        """What speaks against the model; returns what the parts of the record say."""
+        problem, train = self.problem, self.train
+        given = [self.spec.columns[s].noise is not None for s in problem.signals]
+        part = Evaluation(*(v[:, train] for v in there))
+        pulls = pulled(problem, part, best, seen, self.loss, train)
+        sizes = dict(zip(problem.unknowns.names, sizes_of(problem, best), strict=True))
+        units = doubts.wrong_units(problem, there, train)
+        # A wrong unit is why so much is left: told once.
+        self.doubts += units or doubts.misfits(problem, there, seen, given, self.loss, train)
+        self.doubts += doubts.torn(pulls, np.array([sizes[p.name] for p in pulls]))
+        return pulls
 
-    def _remark(self, best: np.ndarray, seen: Covariance, there: Evaluation) -> None:
+    def _remark(self, best: np.ndarray, seen: Covariance) -> None:
         for name, bounds in self.problem.unknowns.at_bounds(best).items():
             self.remarks.append(f"{name} lies on its bound {bounds}: widen it if it may go there.")
         if seen.sandwiched:
@@ -362,4 +369,3 @@ class _Work:
                 "Residuals are not white: the model leaves something out. The intervals allow for "
                 "it, as far as what is left out does not shift the parameters."
             )
-        self.doubts += wrong_units(self.problem, there, self.train)

@@ -137,7 +137,7 @@ class Unknowns(NamedTuple):
         low, high, log = self._bounds()
         z = 0.5 * (1.0 + np.sin(y))
         value = low + z * (high - low)
-        return np.where(log, np.exp(value), value)
+        return np.where(log, np.exp(np.where(log, value, 0.0)), value)
 
     def slope(self, y: np.ndarray) -> np.ndarray:
         """d value/d y (..., P)."""

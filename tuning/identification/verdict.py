@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from tuning.identification.doubts import Doubt
 from tuning.identification.residuals import Problem
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import Free
@@ -17,6 +18,8 @@ _KNOWN = 0.1
 _PART = 0.25
 # Exponents nearer to each other than this are told as a plain product or ratio.
 _EQUAL = 0.1
+
+KINDS = ("determined", "contradicted", "combination", "not visible")
 
 _ADVICE = {
     "half_gap": "reverse the joint torque slowly and softly (a sine of some mNm and below 1 Hz), "
@@ -32,11 +35,12 @@ _ADVICE = {
     "ws": "creep: speeds below and around the Stribeck speed",
     "delay": "give steps and fast chirps: slow inputs look the same a little later",
 }
+_CONTRADICTED = "look at what is left of each log, and try other structures"
 _ELSE = "excite it more: more amplitude, more frequencies, another load"
 
 
 class Verdict(NamedTuple):
-    """One unknown. kind: `determined`, `combination` or `not visible`; why and advice in words."""
+    """One unknown. kind: one of `KINDS`; why and advice in words."""
 
     name: str
     kind: str
@@ -56,7 +60,7 @@ def verdicts(
     contact: (E, 2) of the evaluation there.
     """
     frees = [problem.unknowns.free[i] for i in problem.unknowns.of]
-    sizes = _sizes(frees, values)
+    sizes = sizes_of(problem, values)
     joint = seen.deviation / sizes
     alone = _alone(seen) / sizes
     found = []
@@ -77,8 +81,28 @@ def verdicts(
     return found
 
 
-def _sizes(frees: list[Free], values: np.ndarray) -> np.ndarray:
-    """What an error is compared with: the value, or for those about zero their bounds."""
+def contradicted(
+    found: Sequence[Verdict], doubts: Sequence[Doubt], bounds: Mapping[str, tuple[float, float]]
+) -> list[Verdict]:
+    """The verdicts, with those taken back against which the record itself speaks.
+
+    An interval holds if the model is right. Where the record says that it is not, or drives an
+    unknown to a bound, neither it nor a combination of it is called determined.
+    """
+    judged = []
+    for v in found:
+        why = [d.short for d in doubts if not d.names or v.name in d.names]
+        if v.name in bounds:
+            why.append(f"it lies on its bound, {bounds[v.name]}")
+        if why and v.kind in ("determined", "combination"):
+            v = Verdict(v.name, "contradicted", "; ".join(why), _CONTRADICTED)
+        judged.append(v)
+    return judged
+
+
+def sizes_of(problem: Problem, values: np.ndarray) -> np.ndarray:
+    """(P,) what an error is compared with: the value, or for those about zero their bounds."""
+    frees = [problem.unknowns.free[i] for i in problem.unknowns.of]
     spans = np.array([0.5 * (f.upper - f.lower) for f in frees])
     signed = np.array([f.lower < 0.0 < f.upper for f in frees])
     return np.where(signed, spans, np.maximum(np.abs(values), 1e-300))
