@@ -22,8 +22,8 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from jaxsim import events
-from jaxsim.hermite import any_member
 from jaxsim.loop import ClosedLoop, When
+from jaxsim.rarely import any_member
 from jaxsim.reverse import thrifty
 from jaxsim.status import Status
 from jaxsim.steps import Carry, Mark, Piece, micro_step, now, sound

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxsim import hermite
-from jaxsim.hermite import Cubic
+from jaxsim.hermite import Cubic, lesser
 from jaxsim.hybrid import Surface
 from jaxsim.loop import ClosedLoop, State, When
+from jaxsim.rarely import rarely
 
 Scalar = Any
 
@@ -83,7 +84,7 @@ def guards(
 
 def choose(condition: Scalar, yes: Any, no: Any) -> Any:
     """jnp.where over trees."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+    return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), yes, no)
 
 
 def pick(values: tuple[Scalar, ...], index: Scalar, otherwise: Scalar) -> Scalar:
@@ -120,8 +121,8 @@ def settled(
 
     # Only at the start of a run and after rest is any of them 0.
     loop, when, x, held = jax.lax.stop_gradient((loop, when, x, held))
-    unknown = functools.reduce(operator.or_, (mode == 0.0 for mode in modes))
-    return jax.lax.cond(hermite.any_member(unknown), signs, lambda known: known, modes)
+    known = functools.reduce(operator.mul, (mode * mode for mode in modes))
+    return rarely(known - 0.5, signs, lambda known: known, modes)
 
 
 def _signs(
@@ -163,20 +164,20 @@ def landing(
     return Landing(landed, correction, ahead, rate)
 
 
-def may_leave(
+def clearance(
     surfaces: tuple[Surface, ...], modes: tuple[Scalar, ...], start: Guards, end: Guards, h: Scalar
 ) -> Scalar:
-    """Whether `earliest_exit` has to look: a cubic stays above the least of its control points.
+    """Negative where `earliest_exit` has to look: a cubic is above the least of its control points.
 
     By half the tolerance, so that rounding makes no difference to what is found.
     """
-    may = jnp.asarray(False)
+    least = jnp.full_like(h, jnp.inf)
     rows = zip(surfaces, modes, *start, *end, strict=True)
     for surface, mode, g0, r0, g1, r1 in rows:
-        segment = hermite.Segment(g0, r0, g1, r1, h)
-        points = (mode * v for v in (g0, g1, *segment.controls()))
-        may = may | (functools.reduce(jnp.minimum, points) < -0.5 * surface.tolerance(h.dtype))
-    return may
+        points = (g0, g1, *hermite.Segment(g0, r0, g1, r1, h).controls())
+        lowest = functools.reduce(lesser, (mode * v for v in points))
+        least = lesser(least, lowest + 0.5 * surface.tolerance(h.dtype))
+    return least
 
 
 class _Candidate(NamedTuple):

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxsim.rarely import rarely
+
 Scalar = Any
 
 _POLISH = 7  # safeguarded Newton iterations; a cubic on a bracket converges to rounding in 5-6
@@ -93,16 +95,28 @@ def turning_points(c: Cubic) -> tuple[Scalar, Scalar]:
     return first, second
 
 
+def lesser(a: Scalar, b: Scalar) -> Scalar:
+    """The lesser of two numbers, b where either is nan.
+
+    One instruction; jnp.minimum, which hands on every nan, takes four.
+    """
+    return jnp.where(a < b, a, b)
+
+
+def greater(a: Scalar, b: Scalar) -> Scalar:
+    """The greater of two numbers, as `lesser`."""
+    return jnp.where(a > b, a, b)
+
+
 def widened(low: Scalar, high: Scalar, s: Segment) -> tuple[Scalar, Scalar]:
     """The range from low to high, extended to all values of a segment.
 
     Its derivative is that of the segment at the extremes (envelope). Turning points are looked for
     only where the control points allow one beyond the range.
     """
-    low = jnp.minimum(low, jnp.minimum(s.start, s.end))
-    high = jnp.maximum(high, jnp.maximum(s.start, s.end))
+    low, high = lesser(low, lesser(s.start, s.end)), greater(high, greater(s.start, s.end))
     a, b = s.controls()
-    beyond = (jnp.minimum(a, b) < low) | (jnp.maximum(a, b) > high)
+    margin = lesser(lesser(a, b) - low, high - greater(a, b))
 
     def inside(low: Scalar, high: Scalar, s: Segment) -> tuple[Scalar, Scalar]:
         c = s.cubic()
@@ -112,22 +126,21 @@ def widened(low: Scalar, high: Scalar, s: Segment) -> tuple[Scalar, Scalar]:
             jnp.maximum(high, jnp.maximum(first, second)),
         )
 
-    return jax.lax.cond(any_member(beyond), inside, lambda low, high, s: (low, high), low, high, s)
+    return rarely(margin, inside, lambda low, high, s: (low, high), low, high, s)
 
 
 def raised(record: Scalar, s: Segment, way: Scalar, origin: Scalar) -> Scalar:
     """The larger of a record and the maximum of way*(c - origin), way +1 or -1; as `widened`."""
-    ends = jnp.maximum(way * (s.start - origin), way * (s.end - origin))
-    record = jnp.maximum(record, ends)
+    record = greater(record, greater(way * (s.start - origin), way * (s.end - origin)))
     a, b = s.controls()
-    beyond = jnp.maximum(way * (a - origin), way * (b - origin)) > record
+    margin = record - greater(way * (a - origin), way * (b - origin))
 
     def inside(record: Scalar, s: Segment) -> Scalar:
         c = s.cubic()
         first, second = (way * (c.value(at) - origin) for at in turning_points(c))
         return jnp.maximum(record, jnp.maximum(first, second))
 
-    return jax.lax.cond(any_member(beyond), inside, lambda record, s: record, record, s)
+    return rarely(margin, inside, lambda record, s: record, record, s)
 
 
 def leaves_positive(c: Cubic, tolerance: Scalar) -> tuple[Scalar, Scalar]:
@@ -159,7 +172,7 @@ def first_root(c: Cubic, s_negative: Scalar, tolerance: Scalar, wanted: Scalar) 
     zero = jnp.zeros_like(c.c0)
     f = Cubic(*(jnp.where(on_surface, d, k) for d, k in zip((*c[1:], zero), c, strict=True)))
     low, high = jnp.zeros_like(s_negative), s_negative
-    s = jax.lax.cond(any_member(wanted), _polished, lambda f, high: high, f, high)
+    s = rarely(jnp.where(wanted, -1.0, 1.0), _polished, lambda f, high: high, f, high)
     return jnp.where(f.value(low) <= 0.0, 0.0, s)
 
 
@@ -176,20 +189,6 @@ def _polished(f: Cubic, high: Scalar) -> Scalar:
     return s
 
 
-@jax.custom_batching.custom_vmap
-def any_member(condition: Scalar) -> Scalar:
-    """Whether a condition holds for any member of the batch that a run is in.
-
-    For what is dear and rarely needed: vmap alone turns a cond into a select, and does both.
-    """
-    return condition
-
-
-@any_member.def_vmap
-def _(size: int, batched: list[bool], conditions: Any) -> tuple[Any, bool]:
-    return jnp.any(conditions), False
-
-
 def crossing(c: Cubic) -> tuple[Scalar, Scalar]:
     """Whether c rises through zero on (0, 1], and where; the fraction is differentiable.
 
@@ -203,9 +202,10 @@ def crossing(c: Cubic) -> tuple[Scalar, Scalar]:
         return s, _safe_divide(one, c.slope(s))
 
     def none(c: Cubic) -> tuple[Scalar, Scalar]:
-        return one, one
+        return 0.5 * one, jnp.zeros_like(one)
 
-    s, steep = jax.lax.cond(any_member(crosses), located, none, jax.lax.stop_gradient(c))
+    margin = jnp.where(crosses, -1.0, 1.0)
+    s, steep = rarely(margin, located, none, jax.lax.stop_gradient(c))
     s = s - c.value(s) * steep
     return crosses, jnp.where(crosses, s, one)
 

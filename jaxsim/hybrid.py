@@ -69,6 +69,11 @@ class Deadzone(eqx.Module):
     def located(self) -> bool:
         """Whether events are located inside the steps."""
 
+    @property
+    def rough(self) -> bool:
+        """Whether metrics read the ends of steps alone."""
+        return False
+
     @abc.abstractmethod
     def switch(self, surface: Surface, value: Scalar, mode: Scalar) -> Switch:
         """The switch of a surface, given its guard's present value and the carried mode."""
@@ -100,11 +105,17 @@ class Plain(Deadzone):
     """No location: signs are read at every stage. For comparison and sampled real-time use.
 
     Values converge erratically, O(dt); gradients are WRONG at every dt: docs/concepts/gradients.md.
+    So metrics do not look inside steps either: peaks are those of the ends, O(dt^2) less, times of
+    passages the middles of their steps.
     """
 
     @property
     def located(self) -> bool:
         return False
+
+    @property
+    def rough(self) -> bool:
+        return True
 
     def switch(self, surface: Surface, value: Scalar, mode: Scalar) -> Switch:
         value = jax.lax.stop_gradient(jnp.asarray(value))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 Scalar = Any
 
@@ -61,3 +62,46 @@ def _combine(x: Any, h: Scalar, weights: tuple[float, ...], rates: list[Any]) ->
         x,
         *(r for _, r in used),
     )
+
+
+def taylor(
+    order: int, field: Callable[[Scalar, Any], Any], t: Scalar, x: Any, h: Scalar
+) -> tuple[Any, Any]:
+    """As `step`, by the series x + h x' + h^2/2 x'' + ..., for a field that is `affine`.
+
+    Each further derivative is the field's linear part of the one before: x^(n+1) = A x^(n).
+    """
+    terms = [field(t, x)]
+    along = jnp.ones_like(t)
+    for _ in range(order - 1):
+        terms.append(jax.jvp(field, (t, x), (along, terms[-1]))[1])
+        along = jnp.zeros_like(t)
+    total = terms[-1]
+    for n, term in zip(range(order, 1, -1), reversed(terms[:-1]), strict=True):
+        total = jax.tree.map(lambda a, b, n=n: b + (h / n) * a, total, term)
+    return jax.tree.map(lambda v, a: v + h * a, x, total), terms[0]
+
+
+def affine(field: Callable[[Scalar, Any], Any], t: Scalar, x: Any) -> bool:
+    """Whether a field is affine in (t, x): whether its second derivative is zero by construction.
+
+    Found out while tracing: JAX does not ask for the derivative of what has no tangent. Rejected:
+    that parts declare it, which those of users would not.
+    """
+    bends: list[bool] = []
+
+    @jax.custom_jvp
+    def slope(rates: Any) -> Any:
+        return rates
+
+    @slope.defjvp
+    def _(primals: Any, tangents: Any) -> Any:
+        bends.append(True)
+        return primals[0], tangents[0]
+
+    def bend(t: Scalar, x: Any) -> Any:
+        way = jax.tree.map(jnp.ones_like, (t, x))
+        return jax.jvp(lambda *at: slope(jax.jvp(field, at, way)[1]), (t, x), way)[1]
+
+    jax.eval_shape(bend, t, x)
+    return not bends

@@ -8,6 +8,7 @@ batch share it, and what diverges is found once per block of steps (`sound`), no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,14 +16,19 @@ import jax.numpy as jnp
 
 from jaxsim import events, integrate
 from jaxsim.events import Exit, Guards, Landing, choose
-from jaxsim.hermite import Cubic, Segment, any_member
+from jaxsim.hermite import Cubic, Segment, lesser
 from jaxsim.loop import ClosedLoop, Outputs, State, When
+from jaxsim.rarely import any_member, hurried, rarely
 from jaxsim.status import Status
 
 Scalar = Any
+Field = Callable[[Scalar, State], State]
 
 # A sampled law reads signals so much after its tick, as a share of a step.
 _AFTER = 1e-3
+# Of the Taylor series, where modes are affine: a fifth faster than Dormand and Prince's fifth order
+# and ten times as accurate.
+_ORDER = 6
 
 
 class Carry(NamedTuple):
@@ -118,10 +124,18 @@ def _try(loop: ClosedLoop, c: Carry, t: Scalar, h: Scalar) -> _Trial:
     def field(at: Scalar, x: State) -> State:
         return events.field(loop, when._replace(t=at), x, modes, c.held)
 
-    # The error of a step across an unseen event is O(dt): a higher order would be for nothing.
-    method = integrate.DORMAND_PRINCE if loop.deadzone.located else integrate.CLASSICAL
-    x, rates = integrate.step(method, field, t, c.x, h)
+    x, rates = _flow(loop, field, t, c.x, h)
     return _Trial(when, end, h, modes, x, rates, field(end.t, x))
+
+
+def _flow(loop: ClosedLoop, field: Field, t: Scalar, x: State, h: Scalar) -> tuple[State, State]:
+    """x(t + h), and the rates at t."""
+    if not loop.deadzone.located:
+        # The error of a step across an unseen event is O(dt): more would be for nothing.
+        return integrate.step(integrate.CLASSICAL, field, t, x, h)
+    if integrate.affine(field, t, x):
+        return integrate.taylor(_ORDER, field, t, x, h)
+    return integrate.step(integrate.DORMAND_PRINCE, field, t, x, h)
 
 
 class _Verdict(NamedTuple):
@@ -135,23 +149,30 @@ class _Verdict(NamedTuple):
     exit: Exit
 
 
-def _judge(loop: ClosedLoop, c: Carry, trial: _Trial, rest: Scalar, active: Scalar) -> _Verdict:
-    def seen() -> tuple[Guards, Guards]:
-        start = events.guards(loop, trial.when, c.x, trial.modes, c.held, trial.rates)
-        end = events.guards(loop, trial.end, trial.x, trial.modes, c.held, trial.end_rates)
-        return start, end
+def _ends(loop: ClosedLoop, c: Carry, trial: _Trial) -> tuple[Guards, Guards]:
+    """The guards at both ends of a trial."""
+    start = events.guards(loop, trial.when, c.x, trial.modes, c.held, trial.rates)
+    return start, events.guards(loop, trial.end, trial.x, trial.modes, c.held, trial.end_rates)
 
+
+def _clearance(loop: ClosedLoop, c: Carry, trial: _Trial) -> Scalar:
+    """Negative where a trial may leave a surface, or goes to one."""
+    clear = events.clearance(loop.surfaces, trial.modes, *_ends(loop, c, trial), trial.h)
+    return lesser(clear, -0.5 - c.target.astype(trial.h.dtype))
+
+
+def _judge(loop: ClosedLoop, c: Carry, trial: _Trial, rest: Scalar, active: Scalar) -> _Verdict:
     def found() -> tuple[Landing, Exit]:
         # Evaluated again: what a branch takes from outside is written to memory in every step.
-        start, end = seen()
+        start, end = _ends(loop, c, trial)
         landing = events.landing(loop.surfaces, c.target, end, trial.h, rest, loop.dt)
         ignored = jnp.where(landing.landed, c.target, -1)
         return landing, events.earliest_exit(loop, trial.modes, start, end, trial.h, ignored)
 
-    attention = events.may_leave(loop.surfaces, trial.modes, *seen(), trial.h) | (c.target >= 0)
-    landing, exit_ = jax.lax.cond(
-        any_member(attention), found, lambda: (Landing.none(trial.h), Exit.none(trial.h))
-    )
+    def nothing() -> tuple[Landing, Exit]:
+        return Landing.none(trial.h), Exit.none(trial.h)
+
+    landing, exit_ = rarely(_clearance(loop, c, trial), found, nothing)
     finite = _finite(trial.x)
     accept = active & finite & ~exit_.any
     reject = active & finite & exit_.any
@@ -163,8 +184,33 @@ def micro_step(
     loop: ClosedLoop, c: Carry, until: Any, metrics: Any, stored: bool
 ) -> tuple[Carry, Mark | None]:
     """One micro-step towards tick `until`; a run that has arrived stays as it is."""
-    step = _located_step if loop.located else _open_step
-    return step(loop, c, until, metrics, stored)
+    if not loop.located:
+        return _open_step(loop, c, until, metrics, stored)
+    if stored:
+        return _located_step(loop, c, until, metrics, stored)
+    quick, rare = _quick_step(loop, c, until, metrics)
+
+    def located(quick: Carry) -> Carry:
+        return choose(rare, _located_step(loop, quick, until, metrics, False)[0], quick)
+
+    return jax.lax.cond(any_member(rare), located, lambda quick: quick, quick), None
+
+
+def _quick_step(loop: ClosedLoop, c: Carry, until: Any, metrics: Any) -> tuple[Carry, Scalar]:
+    """A step for members to which nothing happens in it; and which are left where they were.
+
+    Nineteen of twenty steps of a batch are such ones for all of its members.
+    """
+    t = now(loop, c)
+    to_tick, to_break = _distances(loop, t, c.elapsed)
+    ticked, rest = to_tick <= to_break, jnp.minimum(to_tick, to_break)
+    (new, trial), margins = hurried(lambda: _gone_on(loop, c, metrics, t, rest, ticked))
+    least = _clearance(loop, c, trial)
+    for margin in margins:
+        least = lesser(margin, least)  # in this order: a metric without a task has a margin of nan
+    active = (c.tick < until) & (c.status == Status.OK.value)
+    fine = (least >= 0.0) & _finite(trial.x)
+    return choose(active & fine, new, c), active & ~fine
 
 
 def _open_step(
@@ -177,19 +223,31 @@ def _open_step(
     going = c.tick < until
     t = now(loop, c)
     to_tick, to_break = _distances(loop, t, c.elapsed)
-    trial = _try(loop, c, t, jnp.where(going, jnp.minimum(to_tick, to_break), 0.0))
+    h = jnp.where(going, jnp.minimum(to_tick, to_break), 0.0)
     ticked = going & (to_tick <= to_break)
-    tick = c.tick + ticked.astype(c.tick.dtype)
-    elapsed = jnp.where(ticked, 0.0, c.elapsed + trial.h)
-    new = c._replace(tick=tick, elapsed=elapsed, x=trial.x)
-    new = new._replace(held=_turned(loop, c, new, trial.end.t, ticked))
-    new = new._replace(folds=_fold(loop, metrics, c, trial, trial.x, trial.h))
+
+    def step() -> tuple[Carry, _Trial]:
+        return _gone_on(loop, c, metrics, t, h, ticked)
+
+    new, _ = hurried(step)[0] if loop.deadzone.rough else step()
     if loop.drive.load.turns_singular:
         new = sound(c, new)  # the angles before the failure tell its cause
     if not stored:
         return new, None
     fine = new.status == Status.OK.value
     return new, _mark(loop, new, jnp.full_like(c.tick, -1), jnp.zeros_like(t), ticked & fine)
+
+
+def _gone_on(
+    loop: ClosedLoop, c: Carry, metrics: Any, t: Scalar, h: Scalar, ticked: Scalar
+) -> tuple[Carry, _Trial]:
+    """All that a run knows after a trial that is taken as it is."""
+    trial = _try(loop, c, t, h)
+    tick = c.tick + ticked.astype(c.tick.dtype)
+    elapsed = jnp.where(ticked, 0.0, c.elapsed + trial.h)
+    new = c._replace(tick=tick, elapsed=elapsed, x=trial.x, modes=trial.modes)
+    new = new._replace(held=_turned(loop, c, new, trial.end.t, ticked))
+    return new._replace(folds=_fold(loop, metrics, c, trial, trial.x, trial.h)), trial
 
 
 def sound(c: Carry, new: Carry) -> Carry:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 
 from jaxsim import hermite
 from jaxsim.engine import Piece
 from jaxsim.metric import Metric, Scalar
+from jaxsim.rarely import rarely
 
 
 class Tracking(Metric):
@@ -79,6 +79,5 @@ def _absolute(s: hermite.Segment, target: Scalar) -> tuple[Scalar, Scalar]:
         zero = jnp.zeros_like(s.start)
         return zero, zero
 
-    changes = (error.c0 != 0.0) & (error.c0 * (s.end - target) <= 0.0)
-    more = jax.lax.cond(hermite.any_member(changes), divided, alike, s)
+    more = rarely(error.c0 * (s.end - target), divided, alike, s)
     return jnp.abs(whole[0]) + more[0], jnp.abs(whole[1]) + more[1]
