@@ -69,6 +69,7 @@ KINDS: dict[type, _Kind] = {
     dc.Supply: _Kind(None, {"supply": dc.Supply}, None),
     Start: _Kind(None, {"start": Start}, None),
     policy.Network: _Kind(None, {"network": policy.Network}, None),
+    policy.Trained: _Kind(None, {"trained": policy.Trained}, None),
     policy.Layer: _Kind(None, {"layer": policy.Layer}, None),
     Channel: _Kind(None, {"channel": Channel}, None),
     Action: _Kind(None, {"action": Action}, None),

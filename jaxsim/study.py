@@ -18,6 +18,7 @@ from jaxsim.drive import Drive
 from jaxsim.errors import InputError, called, inside
 from jaxsim.hybrid import Deadzone, Exact, Plain, Smoothed
 from jaxsim.law import Control, as_joint_law
+from jaxsim.laws.policy import Policy
 from jaxsim.loop import ClosedLoop
 from jaxsim.objective import Objective, read_objective
 from jaxsim.quantity import to_si
@@ -168,7 +169,9 @@ def from_table(table: dict[str, Any], folder: Path, name: str) -> Study:
 
 
 def _remark(drive: Drive, law: Any) -> None:
-    """Warn of gains that are allowed but hardly meant."""
+    """Warn of gains that are allowed but hardly meant, and of a policy of another drive."""
+    for words in law.remarks(drive) if isinstance(law, Policy) else ():
+        warnings.warn(words, stacklevel=3)
     if drive.command_unit != "V":
         return
     from jaxsim.linear.routh import remarks  # SciPy: 0.2 s that other drives need not pay

@@ -12,25 +12,31 @@ state.json       names the folder of the last checkpoint; `checkpoint-N` holds i
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from envs.environment import Environment
-from jaxsim import components
+from envs.task import Task
+from jaxsim import components, tree
 from jaxsim.components import read_json, read_toml
 from jaxsim.errors import InputError
 from jaxsim.law import Control
-from jaxsim.laws.policy import Network, Policy
+from jaxsim.laws.policy import Network, Policy, Trained
 from jaxsim.provenance import provenance, replace_text, write_json, write_toml
 from jaxsim.status import Status
 from rl.episodes import Scores
 from rl.spec import APGSpec, SB3Spec, from_table
 from rl.trainer import Trainer
+
+# Episodes that are looked at for the range of the drives, and the age of a drive that is worn out.
+_DRAWN, _WORN = 256, 10**6
 
 
 class Row(NamedTuple):
@@ -56,8 +62,25 @@ def law_of(env: Environment, network: Network) -> Policy:
     """
     task = env.task
     return Policy(
-        task.law(), network, task.channels, task.actions, task.period, task.duration, env.sensors
+        task.law(),
+        network,
+        task.channels,
+        task.actions,
+        task.period,
+        task.duration,
+        env.sensors,
+        drives_of(task),
     )  # type: ignore[arg-type]
+
+
+@functools.cache
+def drives_of(task: Task) -> tuple[Trained, ...]:
+    """The range of every parameter over episodes of new drives and of worn ones."""
+    keys = jax.random.split(jax.random.key(0), _DRAWN)
+    one = task.draw(keys[0], 0).drive
+    drawn = [jax.vmap(lambda key, age=age: task.draw(key, age).drive)(keys) for age in (0, _WORN)]
+    values = {p: np.asarray([tree.get(d, p) for d in drawn], float) for p in tree.numbers(one)}
+    return tuple(Trained(p, float(v.min()), float(v.max())) for p, v in values.items())
 
 
 def write_policy(folder: Path, policy: Policy, about: str) -> None:
@@ -161,6 +184,7 @@ __all__ = [
     "Row",
     "best_of",
     "check_same",
+    "drives_of",
     "law_of",
     "read_checkpoint",
     "read_policy",

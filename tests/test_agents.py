@@ -21,6 +21,7 @@ from envs.sb3 import BatchedVecEnv
 from envs.task import TASKS
 from jaxsim.errors import InputError
 from jaxsim.laws.policy import Layer, Network
+from jaxsim.study import load, with_values
 from rl import arrays, comparison, nominal, onnx_file, store
 from rl.apg import APG
 from rl.comparison import Entry
@@ -170,6 +171,24 @@ def test_onnx_gives_the_actions_of_the_policy_and_says_what_they_mean(
     assert [c["name"] for c in said["observation"]] == [c.name for c in env.task.channels]
     assert said["action"][0]["unit"] == "Nm"
     assert said["period_s"] == 1e-3
+
+
+def test_a_policy_on_another_drive_than_those_of_its_training_says_so(tmp_path: Path) -> None:
+    """Half gaps of the task's episodes are 0.6 to 1.3 of the bench's, and a fifth more worn."""
+    env = build(PUSH)
+    size = len(env.task.channels)
+    network = Network([Layer(np.zeros((1, size)), np.zeros(1))], np.zeros(size), np.ones(size))
+    store.write_policy(tmp_path, store.law_of(env, network), "nothing")
+    law = str(tmp_path / "law.toml")
+    study = load("bench_switched", law=law)  # warnings are errors here
+    own = {t.parameter: (t.low, t.high) for t in study.law.trained}
+    assert own["transmission.half_gap"] == pytest.approx((0.6 * 7.8e-3, 1.56 * 7.8e-3), rel=0.01)
+    assert own["motor.J_M"] == pytest.approx((8.78e-4, 8.78e-4), rel=1e-6)
+    with_values(study, {"half_gap": 0.012})
+    with pytest.warns(UserWarning, match=r"other drives: half_gap = 0.02, there 0.00469 to 0.0122"):
+        with_values(study, {"half_gap": 0.02})
+    with pytest.warns(UserWarning, match=r"J_M = 0.001, there 0.000878 \(SI\)"):
+        with_values(study, {"J_M": 1e-3})
 
 
 def test_the_three_kinds_of_episodes_are_different() -> None:

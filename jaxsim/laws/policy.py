@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxsim import tree
+from jaxsim.drive import Drive
 from jaxsim.errors import InputError
 from jaxsim.law import Control, JointLaw, Law, Measured, Scalar, Supervised, as_joint_law
 from jaxsim.observation import (
@@ -24,9 +26,10 @@ from jaxsim.observation import (
 )
 from jaxsim.parameters import POSITIVE, Parameters, parameter
 from jaxsim.sampled import Sensors, TrueSpeeds
-from jaxsim.tree import resolve
 
 _ACTIVATIONS = {"tanh": jnp.tanh, "relu": jax.nn.relu}
+# Ranges of a training are those of episodes drawn in float32, a little inside the real ones.
+_EDGE, _ROUNDING = 0.02, 1e-6
 _SQUASHES = {"tanh": jnp.tanh, "clip": lambda v: jnp.clip(v, -1.0, 1.0)}
 
 
@@ -75,6 +78,14 @@ class Network(Parameters):
         return _SQUASHES[self.squash](last.weight @ z + last.bias)
 
 
+class Trained(eqx.Module):
+    """What a policy has seen of a drive: the range of one parameter over its episodes, SI."""
+
+    parameter: str = eqx.field(static=True)
+    low: float = eqx.field(static=True)
+    high: float = eqx.field(static=True)
+
+
 class Held(NamedTuple):
     """State of a policy: the action applied, the readings, and what it remembers."""
 
@@ -92,7 +103,7 @@ class Policy(Supervised):
     functions (`jaxsim.observation`), so a policy scores in a run what it scores there.
 
     One axis. duration: of the episodes it was trained for, s; the share that remains is one of
-    the things that it may look at, 0 from then on.
+    the things that it may look at, 0 from then on. trained: on which drives, where that is known.
 
     Raises: InputError where network, channels and actions do not fit together.
     """
@@ -107,6 +118,7 @@ class Policy(Supervised):
     period: float = eqx.field(static=True)
     duration: float = eqx.field(static=True)
     sensors: Sensors = eqx.field(default_factory=TrueSpeeds)
+    trained: tuple[Trained, ...] = eqx.field(converter=tuple, default=())
 
     def __check_init__(self) -> None:
         if not 0.0 < self.period < self.duration:
@@ -114,7 +126,7 @@ class Policy(Supervised):
             raise InputError("Policy.period", "must be > 0 s and < duration", value, "e.g. 1e-3")
         self.check(len(self.channels), len(self.actions), "Policy")
         for action in self.actions:
-            resolve(self.base, action.parameter)
+            tree.resolve(self.base, action.parameter)
 
     def check(self, channels: int, actions: int, field: str) -> None:
         """Raises: InputError where the network takes or gives other numbers."""
@@ -122,6 +134,22 @@ class Policy(Supervised):
         if (takes, gives) != (channels, actions):
             rule = f"must have a network from {channels} channels to {actions} actions"
             raise InputError(field, rule, f"{takes} to {gives}", "was it trained for another task?")
+
+    def remarks(self, drive: Drive) -> list[str]:
+        """What is to be said of a drive that it was not trained on, in words."""
+        own = tree.paths(drive)
+        if any(t.parameter not in own for t in self.trained):
+            return [
+                "the policy was trained on a drive of other parts: it knows nothing of this one"
+            ]
+        told = []
+        for t in self.trained:
+            value, slack = float(tree.get(drive, t.parameter)), _EDGE * (t.high - t.low)
+            slack += _ROUNDING * abs(t.high)
+            if not t.low - slack <= value <= t.high + slack:
+                name = t.parameter.rpartition(".")[2]
+                told.append(f"{name} = {value:.4g}, there {_span(t)}")
+        return [f"the policy was trained on other drives: {'; '.join(told)} (SI)"] if told else []
 
     @property
     def axes(self) -> int:
@@ -187,4 +215,9 @@ class Policy(Supervised):
         return act(self.actions, self.base, held.action)
 
 
-__all__ = ["Held", "Layer", "Network", "Policy"]
+def _span(t: Trained) -> str:
+    same = t.high - t.low <= _ROUNDING * abs(t.high)
+    return f"{t.high:.3g}" if same else f"{t.low:.3g} to {t.high:.3g}"
+
+
+__all__ = ["Held", "Layer", "Network", "Policy", "Trained"]
