@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import jax.numpy as jnp
-
 from jaxsim.drive import Load, Scalar
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
+from jaxsim.sincos import sincos
 
 
 class Hanging(Load):
@@ -27,5 +26,5 @@ class Hanging(Load):
     def acceleration(
         self, theta_L: tuple[Scalar, ...], omega_L: tuple[Scalar, ...], torque: tuple[Scalar, ...]
     ) -> tuple[Scalar, ...]:
-        weight = self.g * self.moment * jnp.sin(theta_L[0])
+        weight = self.g * self.moment * sincos(theta_L[0])[0]
         return ((torque[0] - self.D_L * omega_L[0] - weight) / self.J_L,)

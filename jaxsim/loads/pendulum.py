@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import jax.numpy as jnp
-
 from jaxsim.drive import Load, Scalar
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
+from jaxsim.sincos import sincos
 
 
 class Pendulum(Load):
@@ -30,5 +29,5 @@ class Pendulum(Load):
     ) -> tuple[Scalar, ...]:
         inertia = (self.mass + self.rod / 3.0) * self.length**2
         weight = self.g * (self.mass + 0.5 * self.rod) * self.length
-        rest = torque[0] - self.D_L * omega_L[0] - weight * jnp.sin(theta_L[0] - self.theta_0)
+        rest = torque[0] - self.D_L * omega_L[0] - weight * sincos(theta_L[0] - self.theta_0)[0]
         return (rest / inertia,)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxsim.drive import Load, Scalar
 from jaxsim.errors import InputError
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, is_concrete, parameter
+from jaxsim.sincos import sincos
 
 
 class TwoLink(Load):
@@ -56,10 +57,11 @@ class TwoLink(Load):
         self, theta_L: tuple[Scalar, ...], omega_L: tuple[Scalar, ...], torque: tuple[Scalar, ...]
     ) -> tuple[Scalar, ...]:
         (q1, q2), (w1, w2) = theta_L, omega_L
-        cosine, sine = jnp.cos(q2), jnp.sin(q2)
-        swing, hang = self.coupling * sine, self.gravity_2 * jnp.sin(q1 + q2)
+        (sine_1, cosine_1), (sine, cosine) = sincos(q1), sincos(q2)
+        swing = self.coupling * sine
+        hang = self.gravity_2 * (sine_1 * cosine + cosine_1 * sine)  # sin(q1 + q2)
         rest_1 = torque[0] + swing * (2.0 * w1 * w2 + w2 * w2) - self.D_L1 * w1
-        rest_1 = rest_1 - self.gravity_1 * jnp.sin(q1) - hang
+        rest_1 = rest_1 - self.gravity_1 * sine_1 - hang
         rest_2 = torque[1] - swing * w1 * w1 - self.D_L2 * w2 - hang
         M_11 = self.inertia_1 + 2.0 * self.coupling * cosine
         M_12 = self.inertia_2 + self.coupling * cosine

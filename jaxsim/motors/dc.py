@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
-
 from jaxsim.drive import Motor, Scalar, Shaft
 from jaxsim.hybrid import Surface, Switch
 from jaxsim.motors.friction import Stribeck
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, Parameters, parameter
+from jaxsim.sincos import sincos
 
 
 class Ripple(Parameters):
@@ -23,7 +22,7 @@ class Ripple(Parameters):
     phase: Scalar = parameter("rad", "phase at theta_M = 0", default=0.0)
 
     def torque(self, theta_M: Scalar) -> Scalar:
-        return self.amplitude * jnp.cos(self.order * theta_M + self.phase)
+        return self.amplitude * sincos(self.order * theta_M + self.phase)[1]
 
 
 class Supply(Parameters):

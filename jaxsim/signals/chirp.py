@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from jaxsim.parameters import NON_NEGATIVE, POSITIVE, parameter
 from jaxsim.signal import Scalar, Signal
+from jaxsim.sincos import sincos
 
 
 class Chirp(Signal):
@@ -20,4 +21,4 @@ class Chirp(Signal):
         sweep = jnp.minimum(t, self.duration)
         cycles = self.f0 * sweep + 0.5 * (self.f1 - self.f0) * sweep**2 / self.duration
         cycles = cycles + self.f1 * (t - sweep)
-        return self.amplitude * jnp.sin(2.0 * jnp.pi * cycles)
+        return self.amplitude * sincos(2.0 * jnp.pi * cycles)[0]

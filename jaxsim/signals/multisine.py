@@ -8,6 +8,7 @@ import numpy as np
 from jaxsim.errors import InputError
 from jaxsim.parameters import NON_NEGATIVE, parameter
 from jaxsim.signal import Scalar, Signal
+from jaxsim.sincos import sincos
 
 
 class Multisine(Signal):
@@ -32,4 +33,4 @@ class Multisine(Signal):
 
     def value(self, t: Scalar, inside: Scalar) -> Scalar:
         angles = 2.0 * jnp.pi * self.frequencies * t[..., None] + self.phases
-        return jnp.sum(self.amplitudes * jnp.sin(angles), axis=-1)
+        return jnp.sum(self.amplitudes * sincos(angles)[0], axis=-1)
