@@ -135,12 +135,13 @@ def test_watch_raises_the_alarm_when_the_gap_grows(folder: Path) -> None:
     (folder / "watch.toml").write_text(head + section, "utf-8")
     out = folder / "watched"
     done = CliRunner().invoke(app, ["watch", str(folder / "watch.toml"), "--out", str(out)])
-    assert done.exit_code == 2, done.output
+    assert done.exit_code == 1, done.output
     gap, *others = json.loads((out / "result.json").read_text("utf-8"))["trends"]
     np.testing.assert_allclose(
         gap["values"], logs.TRUTH[0] * (1.0 + 0.04 * np.arange(4)), rtol=1e-3
     )
     assert "is above" in gap["alarm"]
+    assert "ALARM: half_gap" in (out / "report.html").read_text("utf-8")
     assert [t["alarm"] for t in others] == ["", "", ""]
 
 
@@ -166,3 +167,4 @@ def test_a_designed_experiment_keeps_the_limit_and_beats_the_others(folder: Path
     assert "joint torque above 1.5 Nm" in table["why"].to_list()
     excitation = read_log(out / "excitation.csv").columns
     assert np.abs(excitation["command [Nm]"]).max() <= 1.5
+    assert best["excitation"] in (out / "report.html").read_text("utf-8")

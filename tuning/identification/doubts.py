@@ -99,14 +99,15 @@ def misfits(
 ) -> list[Doubt]:  # fmt: skip
     """Signals of which more is left than their noise, where that was given, or than a third.
 
-    given: per signal, whether a person said its noise. What is left of the others cannot be
-    compared with anything but the readings: more than 30 % of their scatter, and not white.
+    seen: of the experiments `train`. given: per signal, whether a person said its noise. What is
+    left of the others cannot be compared with anything but the readings: more than 30 % of their
+    scatter, and not white.
     """
     found = []
     for s, name in enumerate(problem.signals):
         tests = [own[s] for own in known.whiteness]
         used = problem.readings.used[train][:, s]
-        r = seen.residuals[0][train][:, s][used]
+        r = seen.residuals[0][:, s][used]
         left = _size(r, loss)
         count = sum(t.count / t.inflation for t in tests)
         chance = float(stats.chi2.sf(count * left**2, count))

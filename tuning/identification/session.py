@@ -357,7 +357,7 @@ class _Work:
         sizes = dict(zip(problem.unknowns.names, sizes_of(problem, best), strict=True))
         units = doubts.wrong_units(problem, there, train)
         # A wrong unit is why so much is left: told once.
-        self.doubts += units or doubts.misfits(problem, there, seen, given, self.loss, train)
+        self.doubts += units or doubts.misfits(problem, part, seen, given, self.loss, train)
         self.doubts += doubts.torn(pulls, np.array([sizes[p.name] for p in pulls]))
         return pulls
 

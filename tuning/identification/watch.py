@@ -11,9 +11,10 @@ from jaxsim.errors import InputError
 from jaxsim.quantity import to_si
 from jaxsim.study import Study
 from tuning.identification import uncertainty
+from tuning.identification.doubts import misfits
 from tuning.identification.estimator import fit
 from tuning.identification.mapping import check_loops, experiments
-from tuning.identification.residuals import Problem
+from tuning.identification.residuals import Evaluation, Problem
 from tuning.identification.session import Tell
 from tuning.identification.spec import Spec, read_free
 
@@ -38,11 +39,12 @@ class Trend(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """All trends, the logs in their order, and those whose fit failed."""
+    """All trends, the logs in their order, those whose fit failed, and what speaks against some."""
 
     logs: tuple[str, ...]
     trends: tuple[Trend, ...]
     failed: tuple[str, ...]
+    doubts: tuple[str, ...]
     confidence: float
 
 
@@ -72,19 +74,23 @@ def watch(study: Study, spec: Spec, tell: Tell | None = None) -> Watch:
     found = fit(problem, starts, who=who, loss=loss, tell=lambda p: tell("fitting", p))
     seen = problem.evaluate(found.values, who=who)
     good = np.isfinite(found.loss)
+    names = tuple(r.experiment.name for r in recorded)
+    given = [spec.columns[s].noise is not None for s in problem.signals]
     deviation = np.full(found.values.shape, np.nan)
+    doubts: list[str] = []
     for i in np.flatnonzero(good):
-        deviation[i] = uncertainty.covariance(
-            problem, seen, found.values[i], loss, row=int(i), who=who[i]
-        ).deviation
+        known = uncertainty.covariance(problem, seen, found.values[i], loss, row=int(i), who=who[i])
+        deviation[i] = known.deviation
+        mine = Evaluation(*(v[i : i + 1] for v in seen))
+        wrong = misfits(problem, mine, known, given, loss, who[i])
+        doubts += [f"{names[i]}: {d.words}" for d in wrong]
     values = np.where(good[:, None], found.values, np.nan)
     trends = tuple(
         trend(f.name, f.unit, values[:, k], deviation[:, k], limits[k], spec.search.confidence)
         for k, f in enumerate(free)
     )
-    names = tuple(r.experiment.name for r in recorded)
     failed = tuple(n for n, ok in zip(names, good, strict=True) if not ok)
-    return Watch(names, trends, failed, spec.search.confidence)
+    return Watch(names, trends, failed, tuple(doubts), spec.search.confidence)
 
 
 def _limits(study: Study, problem: Problem) -> np.ndarray:
@@ -122,7 +128,8 @@ def trend(
         if values[last] - half > limit:
             alarm = f"{name} = {values[last]:.4g} {unit} is above {limit:.4g}, its interval too"
         elif p < 1.0 - confidence and 0.0 <= ahead <= good.sum():
-            alarm = f"{name} rises by {slope:.3g} {unit} per log: {limit:.4g} in {ahead:.1f} logs"
+            there = f"{limit:.4g} {unit} is reached in {ahead:.1f} logs"
+            alarm = f"{name} rises by {slope:.3g} {unit} per log: {there}"
     return Trend(name, unit, values, deviation, slope, spread, p, limit, alarm)
 
 
