@@ -20,7 +20,6 @@ def command(
     """
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
     from jaxsim import configure, load
     from jaxsim.provenance import keep_results, make_folder
@@ -38,10 +37,10 @@ def command(
         seen = watch(what, spec)
         watch_page.write(what, seen, out)
     name, unit, *columns = watch_page.TRENDS[:-2]  # the limit is told where it matters
-    table = Table(Text(f"{name} [{unit}]"), *columns)
+    table = Table(f"{name}, {unit}", *columns)
     for name, unit, *numbers in (row[:-2] for row in watch_page.rows(seen)):
         told = ("-" if v is None else f"{v:.3g}" for v in numbers)
-        table.add_row(Text(f"{name} [{unit}]"), *told)
+        table.add_row(f"{name}, {unit}", *told)
     console.print(table)
     for line in watch_page.sentences(seen):
         console.print(line, markup=False)
