@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+_NEAR = 0.5  # so much alike may be meant
+
 
 class InputError(ValueError):
     """Input that breaks a rule; renders as `field: rule; got value; fix`.
@@ -21,9 +23,8 @@ class InputError(ValueError):
     @classmethod
     def unknown(cls, field: str, name: str, known: Iterable[str]) -> InputError:
         """An unknown name, with the nearest known ones; all of them, nearest first, if none is."""
-        known = sorted(known)
-        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-        every = sorted(known, key=lambda other: -_alike(name, other))
+        every = sorted(sorted(known), key=lambda other: -_alike(name, other))
+        near = [other for other in every[:3] if _alike(name, other) >= _NEAR]
         fix = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(every)}"
         return cls(field, "must be a known name", repr(name), fix)
 

@@ -117,6 +117,7 @@ def test_law_from_another_file_and_values_by_name(tmp_path: Path) -> None:
         ('"bench_2018"', '"bench_2018"\nhalf_ga = 0.01', ["half_ga", "did you mean half_gap"]),
         ('"bench_2018"', '"bench_2018"\nK = nan', ["K", "must be a number, not nan"]),
         ("K_B =", "K_C =", ["law.law[1].K_C", "did you mean K_B"]),
+        ("K_P =", "Kp =", ["law.law[0].Kp", "did you mean K_P"]),
         ('"switched_damping"', '"switched_dampin"', ["did you mean switched_damping"]),
         ('type = "pd", K_P = 10.0,', 'type = "pd",', ["law.law[0]", "K_P"]),
         ('"6 ms"', '"6"', ["tau_D", "leave out the quotes"]),
