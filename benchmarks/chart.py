@@ -35,8 +35,9 @@ def draw(folder: Path, picture: Path) -> None:
 
 
 def _throughput(ax: Any, rows: list[dict[str, Any]]) -> None:
+    shortest = [r for r in rows if r["steps"] == min(row["steps"] for row in rows)]
     for name, (label, colour, style) in LINES.items():
-        own = [(r["batch"], r["M_steps_per_s"]) for r in rows if r["what"] == name]
+        own = [(r["batch"], r["M_steps_per_s"]) for r in shortest if r["what"] == name]
         if own:
             ax.plot(*zip(*own, strict=True), style, color=colour, label=label, marker=".")
     ax.set(xscale="log", yscale="log", xlabel="drives in a batch", title="Bench drive, float64")

@@ -13,9 +13,14 @@ from typing import Any
 
 import numpy as np
 
-SOURCE = Path(__file__).with_name("reference.c")
+HERE = Path(__file__).parent
+BENCH = HERE / "reference.c", 3
+ARM = HERE / "arm_reference.c", 2  # source, results per drive
 # Widest vectors: gcc keeps to 256 bits otherwise. Fast-math gains nothing measurable here.
-OPTIONS = ("-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno", "-fopenmp")
+OPTIONS = (
+    "-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno",
+    "-fno-trapping-math", "-fopenmp",
+)  # fmt: skip
 
 
 def compiler() -> str | None:
@@ -24,7 +29,7 @@ def compiler() -> str | None:
 
 
 @cache
-def _library(dtype: str, lanes: int) -> ctypes.CDLL:
+def _library(source: Path, dtype: str, lanes: int) -> ctypes.CDLL:
     real = {"float64": "double", "float32": "float"}[dtype]
     made = Path(tempfile.mkdtemp(prefix="gearlash-bench-")) / "reference.so"
     defines = (f"-DREAL={real}", f"-DLANES={lanes}")
@@ -34,7 +39,7 @@ def _library(dtype: str, lanes: int) -> ctypes.CDLL:
         *defines,
         "-shared",
         "-fPIC",
-        str(SOURCE),
+        str(source),
         "-o",
         str(made),
     ]
@@ -42,14 +47,21 @@ def _library(dtype: str, lanes: int) -> ctypes.CDLL:
     return ctypes.CDLL(str(made))
 
 
-def reference(half_gaps: np.ndarray, steps: int, dt: float, *, threads: int) -> Callable[[], Any]:
-    """A call that runs the drives and returns (largest torque, largest angle, ITAE), (drives,)."""
-    dtype = str(half_gaps.dtype)
-    lanes = 1 if len(half_gaps) == 1 else {"float64": 32, "float32": 64}[dtype]
-    library = _library(dtype, lanes)
+def reference(
+    what: tuple[Path, int], values: np.ndarray, steps: int, dt: float, *, threads: int
+) -> Callable[[], Any]:
+    """A call that runs one drive per value, and returns its results, (results, drives).
+
+    BENCH: half gaps to (largest torque, largest angle, ITAE). ARM: stiffnesses of joint 1 to the
+    integrals of both joints' squared torque errors.
+    """
+    source, count = what
+    dtype = str(values.dtype)
+    lanes = 1 if len(values) == 1 else {"float64": 32, "float32": 64}[dtype]
+    library = _library(source, dtype, lanes)
     real = {"float64": ctypes.c_double, "float32": ctypes.c_float}[dtype]
-    padded = np.resize(half_gaps, -(-len(half_gaps) // lanes) * lanes)
-    results = np.empty((3, len(padded)), dtype)
+    padded = np.resize(values, -(-len(values) // lanes) * lanes)
+    results = np.empty((count, len(padded)), dtype)
     pointers = [row.ctypes.data_as(ctypes.c_void_p) for row in (padded, *results)]
 
     def call() -> Any:
@@ -57,6 +69,6 @@ def reference(half_gaps: np.ndarray, steps: int, dt: float, *, threads: int) -> 
         library.run(
             pointers[0], ctypes.c_long(len(padded)), ctypes.c_int(steps), real(dt), *pointers[1:]
         )
-        return results[:, : len(half_gaps)]
+        return results[:, : len(values)]
 
     return call

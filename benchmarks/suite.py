@@ -22,8 +22,8 @@ from rich.console import Console
 
 HERE = Path(__file__).parent
 SUITE = (
-    "throughput", "peers", "gradients_cost", "growth", "million", "cold_start", "environments",
-    "evaluation",
+    "throughput", "arm", "equal_accuracy", "peers", "gradients_cost", "growth", "million",
+    "cold_start", "environments", "evaluation",
 )  # fmt: skip
 
 
