@@ -1,7 +1,7 @@
 """How cost and memory grow: with drives, steps, axes, storage and gradients.
 
 The bench with the switched law, exact mode, dt = 2e-4 s, three metrics. Memory is what the
-compiled program asks for besides its inputs and outputs, so it is the same in every run.
+compiled program asks for on all cores besides its inputs and outputs, the same in every run.
 """
 
 from __future__ import annotations
@@ -106,8 +106,7 @@ def memory() -> list[dict[str, Any]]:
         gains = jnp.array([float(tree.get(law, name)) for name in GAINS])
         ways = {"metrics": total, "forward": jax.jacfwd(total), "reverse": jax.grad(total)}
         made = {way: jax.jit(f).lower(gains).compile() for way, f in ways.items()}
-        asked = {way: program.memory_analysis() for way, program in made.items()}
-        sizes = {f"{way}, MB": m.temp_size_in_bytes / 1e6 for way, m in asked.items() if m}
+        sizes = {f"{way}, MB": measuring.megabytes(program, FEW) for way, program in made.items()}
         found.append({"steps": steps} | sizes)
     return found
 

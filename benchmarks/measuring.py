@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -53,6 +54,15 @@ def _seconds(call: Callable[[], Any], often: int) -> float:
     for _ in range(often):
         call()
     return (time.perf_counter() - begin) / often
+
+
+def megabytes(program: Any, members: int) -> float:
+    """What a compiled program sets aside for intermediate results, on all cores.
+
+    The compiler tells it of one, and `jaxsim.batch` spreads so many members over several.
+    """
+    cores = min(jax.local_device_count(), max(2, members // 32))
+    return program.memory_analysis().temp_size_in_bytes * cores / 1e6
 
 
 def fingerprint() -> dict[str, Any]:
