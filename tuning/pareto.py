@@ -59,15 +59,19 @@ class Progress(NamedTuple):
     found: int
 
 
-def pair_of(objective: Objective, names: tuple[str, str]) -> tuple[Goal, Goal]:
+def pair_of(
+    objective: Objective, names: tuple[str, str], options: tuple[str, str] = ("--between", "--and")
+) -> tuple[Goal, Goal]:
     """Two metrics as goals, over drives and scenarios as the objective has them, else the mean.
+
+    options: under which they were given.
 
     Raises: InputError for an unknown metric, with the nearest, and for one named twice.
     """
-    for name in names:
-        check_name(name, "--between/--and")
+    for name, option in zip(names, options, strict=True):
+        check_name(name, option)
     if names[0] == names[1]:
-        raise InputError("--and", "must be another metric", names[1], "name two goals")
+        raise InputError(options[1], "must be another metric", names[1], "name two goals")
     over = {x.metric: x.over for x in (*objective.limits, *objective.goals)}
     first, second = (Goal(name, 1.0, over.get(name, "mean")) for name in names)
     return first, second

@@ -95,7 +95,8 @@ class Beside:
         from tuning import gain_map, pareto
 
         self.study, self.spec = study, spec
-        self.pair = None if front is None else pareto.pair_of(spec.objective, front)
+        options = ("--front", "--front")
+        self.pair = None if front is None else pareto.pair_of(spec.objective, front, options)
         self.axes = None
         if plane is not None:
             x, y = (gain_map.axis_of(study, "--map", n, None, gain_map.POINTS) for n in plane)
