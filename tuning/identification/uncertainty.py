@@ -235,7 +235,9 @@ def profile(
     least = float(found.loss.min())
     kappa = seen.matrix[column, column] / seen.naive[column, column]
     rise = 0.5 * quantile**2 * kappa
-    interval = _crossings(grid, found.loss - least, rise)
+    # What was interrupted before its first run has no loss: no interval either.
+    above = found.loss - least if np.isfinite(least) else np.zeros_like(found.loss)
+    interval = _crossings(grid, above, rise)
     name = problem.unknowns.names[column]
     lowest = found.values[found.best]
     return Profile(name, grid, found.loss, least, lowest, rise, interval)
