@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -77,7 +78,7 @@ def simulate(
     """
     options = _options(scenario, dt, deadzone, metrics, store)
     size = batch.size_of(drive, law, scenario)
-    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    dtype = jnp.dtype(jax.dtypes.canonicalize_dtype(float) if dtype is None else dtype)
     trees = tuple(cast(t, dtype) for t in (drive, law, scenario))
     single = [t[0] if isinstance(t, Batch) else t for t in trees]
     loop = ClosedLoop(single[0], single[1], single[2], options.deadzone, dt)
