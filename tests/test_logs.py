@@ -209,6 +209,22 @@ def test_a_missing_column_names_the_nearest(log: Any, tmp_path: Path) -> None:
         _mapped(tmp_path, _table(theta_M={"column": "motor [dg]", "unit": "deg"}))
 
 
+def test_columns_that_are_not_given_are_told_with_a_line_to_write(log: Any, tmp_path: Path) -> None:
+    """Out of the header of the log, with its unit: its first column but time is a torque."""
+    table = _table()
+    table["identify"]["columns"] = {}
+    with pytest.raises(InputError) as caught:
+        _mapped(tmp_path, table)
+    assert caught.value.field == "identify.columns.time"
+    assert caught.value.fix == 'e.g. time = { column = "t [ms]", unit = "ms" }'
+    table["identify"]["columns"] = {"time": {"column": "t [ms]", "unit": "ms"}}
+    with pytest.raises(InputError) as caught:
+        _mapped(tmp_path, table)
+    assert caught.value.field == "identify.columns"
+    assert 'T_s = { column = "torque [Nm]", unit = "Nm" }' in caught.value.fix
+    assert "signals: theta_L, " in caught.value.fix
+
+
 def test_an_unknown_signal_names_the_nearest(log: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"did you mean .*theta_L"):
         _mapped(tmp_path, _table(theta_l={"column": "load [counts]"}))
