@@ -146,7 +146,10 @@ def _axis_metrics(loop: ClosedLoop, options: _Options, axis: int) -> tuple[Any, 
 
 @eqx.filter_jit
 def _run_batch(options: _Options, end: Any, *trees: Any) -> dict[str, Any]:
-    return batch.map_members(lambda end, *single: _run(options, end, *single), end, *trees)
+    def one(end: Any, *single: Any) -> dict[str, Any]:
+        return _run(options, end, *single)
+
+    return batch.map_members(one, end, *trees, located=options.deadzone.located)
 
 
 def _metrics(options: _Options, metrics: Any, carry: engine.Carry) -> dict[str, Any]:
