@@ -182,13 +182,13 @@ def _draw_stage(ax: Any, rows: list[dict[str, Any]], scale: float) -> None:
     for k in (*others, best):
         colour = plots.COLOURS["after" if k == best else "before"]
         name = "best start" if k == best else "other starts" if k == others[0] else None
-        x, y = ([row[n] for row in own[k]] for n in ("iteration", "cost"))
-        y = scale * np.array(y)
+        y = scale * np.array([row["cost"] for row in own[k]])
+        x = np.arange(len(y))  # a start that is taken up counts its iterations anew
         ax.plot(x, y, lw=1.6 if k == best else 0.8, color=colour, label=name)
         kept = np.array([row["violation"] <= 0.0 for row in own[k]])
-        ax.plot(np.array(x)[kept], y[kept], "o", ms=3.5, color=colour, ls="none")
+        ax.plot(x[kept], y[kept], "o", ms=3.5, color=colour, ls="none")
         open_ = "exceeds a limit" if k == best and not kept.all() else None
-        at = np.array(x)[~kept], y[~kept]
+        at = x[~kept], y[~kept]
         ax.plot(*at, "o", ms=3.5, mfc="white", mec=colour, ls="none", label=open_)
     costs = [scale * row["cost"] for row in rows]
     if 0.0 < 3.0 * min(costs) < max(costs):
