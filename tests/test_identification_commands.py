@@ -17,6 +17,7 @@ from jaxsim import tree
 from jaxsim.command import app
 from jaxsim.drives.bench_2018 import bench_2018
 from jaxsim.errors import InputError
+from jaxsim.hybrid import Smoothed
 from jaxsim.study import from_table
 from tuning.identification.session import identify
 from tuning.identification.spec import read_spec
@@ -168,3 +169,18 @@ def test_a_designed_experiment_keeps_the_limit_and_beats_the_others(folder: Path
     excitation = read_log(out / "excitation.csv").columns
     assert np.abs(excitation["command [Nm]"]).max() <= 1.5
     assert best["excitation"] in (out / "report.html").read_text("utf-8")
+
+
+def test_a_smoothed_beginning_ends_on_the_exact_model(folder: Path) -> None:
+    """Half-widths of the smoothed contact first; the same optimum to a thousandth of an error."""
+    recordings = [{"log": "a.csv"}]
+    _, plain = _identified(folder, recordings, starts=1)
+    study, smoothed = _identified(folder, recordings, starts=1, smoothing=["4 mrad", 1e-3])
+    stages = read_spec(study).search.stages
+    assert [s.deadzone for s in stages[:2]] == [Smoothed(width=4e-3), Smoothed(width=1e-3)]
+    assert all(s.deadzone is None for s in stages[2:])
+    assert smoothed.fits.iterations[0] > plain.fits.iterations[0]
+    apart = np.abs(smoothed.values - plain.values) / plain.seen.deviation
+    assert apart.max() < 1e-2
+    with pytest.raises(InputError, match="width"):
+        _identified(folder, recordings, smoothing=[0.0])

@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field
 
 from jaxsim.errors import InputError
+from jaxsim.hybrid import Smoothed
 from jaxsim.quantity import to_si
 from jaxsim.study import Study
 from jaxsim.validation import check
@@ -81,7 +82,7 @@ class Search(NamedTuple):
 
     starts: of the search, the study's own values among them; seed: of the others. loss: robust or
     not. tolerance: a fit ends where its next step would gain less than this share of its loss.
-    stages: the shares of the logs that count, one after the other.
+    stages: smoothed models, then the shares of the logs that count, one after the other.
     profile: parameters whose loss is traced. bootstrap: samples over the experiments.
     """
 
@@ -127,6 +128,7 @@ class _Identify(BaseModel):
     iterations: int = Field(ge=1, default=50)
     tolerance: float = Field(gt=0.0, lt=0.1, default=1e-9)
     horizons: list[float] = [stage.horizon for stage in STAGES]
+    smoothing: list[float | str] = []
     profile: list[str] = []
     bootstrap: int = Field(ge=0, default=0)
     confidence: float = Field(gt=0.5, lt=1.0, default=0.95)
@@ -172,7 +174,7 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
     kind = LOSSES[main.robust]
     loss = kind() if kind is Squares else kind(main.threshold)  # type: ignore[call-arg]
     search = Search(
-        main.starts, main.seed, loss, main.iterations, main.tolerance, _stages(main.horizons),
+        main.starts, main.seed, loss, main.iterations, main.tolerance, _stages(main),
         tuple(main.profile), main.bootstrap, main.confidence,
     )  # fmt: skip
     dt = None if main.dt is None else float(to_si(main.dt, "s", "identify.dt"))
@@ -189,12 +191,15 @@ def read_spec(study: Study, *, starts: int | None = None, seed: int | None = Non
     )
 
 
-def _stages(horizons: list[float]) -> tuple[Stage, ...]:
-    """Shares of the logs that count, one after the other."""
+def _stages(main: _Identify) -> tuple[Stage, ...]:
+    """Smoothed models first, on all that was read, then a growing horizon on the exact one."""
+    horizons = main.horizons
     if not horizons or horizons[-1] != 1.0 or any(not 0.0 < h <= 1.0 for h in horizons):
         rule = "must be shares of a log that end with all of it"
         raise InputError("identify.horizons", rule, horizons, "e.g. [0.1, 0.4, 1.0]")
-    return tuple(Stage(horizon=h) for h in horizons)
+    widths = [float(to_si(w, "rad", "identify.smoothing")) for w in main.smoothing]
+    smoothed = tuple(Stage(Smoothed(width=w)) for w in widths)
+    return smoothed + tuple(Stage(horizon=h) for h in horizons)
 
 
 def read_free(spec: Spec, experiment: Experiment) -> tuple[Free, ...]:
