@@ -26,7 +26,7 @@ from jaxsim.loop import ClosedLoop, When
 from jaxsim.rarely import any_member
 from jaxsim.reverse import thrifty
 from jaxsim.status import Status
-from jaxsim.steps import Carry, Mark, Piece, micro_step, now, sound
+from jaxsim.steps import Carry, Mark, Piece, micro_step, now, sound, still
 
 Scalar = Any
 
@@ -94,8 +94,9 @@ def _scanned(
         return new if loop.located else sound(c, new), marks
 
     def idle(c: Carry) -> tuple[Carry, Mark | None]:
-        marks = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(chunk, c)[1])
-        return c, marks._replace(event=marks.event - 1) if stored else None
+        # Rejected: eval_shape(chunk) for the marks, which traces all of a step once more.
+        mark, count = still(loop, c) if stored else None, -(-steps // chunks)
+        return c, jax.tree.map(lambda v: jnp.broadcast_to(v, (count, *v.shape)), mark)
 
     def going(c: Carry, _: None) -> tuple[Carry, Mark | None]:
         return jax.lax.cond(any_member(_active(c, until)), chunk, idle, c)

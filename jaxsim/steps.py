@@ -370,10 +370,16 @@ def _fold(loop: ClosedLoop, metrics: Any, c: Carry, trial: _Trial, x: State, len
     )
 
 
+def still(loop: ClosedLoop, c: Carry) -> Mark:
+    """The mark of a run that does not move."""
+    zero = jnp.zeros_like(c.elapsed)
+    return _mark(loop, c, jnp.full_like(c.tick, -1), zero, jnp.zeros_like(c.tick, bool))
+
+
 def _mark(loop: ClosedLoop, c: Carry, event: Scalar, slope: Scalar, ticked: Scalar) -> Mark:
     t = now(loop, c)
     outputs = loop.outputs(When(t, t + 1e-6 * loop.dt), c.x, c.modes, c.held)
     return Mark(t, ticked, event, jnp.where(event >= 0, slope, 0.0), outputs)
 
 
-__all__ = ["Carry", "Mark", "Piece", "micro_step", "now", "sound"]
+__all__ = ["Carry", "Mark", "Piece", "micro_step", "now", "sound", "still"]
