@@ -129,8 +129,8 @@ class Tracer:
     def trace(self, starts: np.ndarray, points: int) -> list[np.ndarray]:
         """Laws on the unit cube for a front of so many points; at Ctrl-C those known by then.
 
-        starts (n, P): all are tried on the few drives of the screen, then all drives are used.
-        What a checkpoint says is done is not done again.
+        starts (n, P): all are tried on the few drives of the screen, then come all drives, or those
+        of the working set and what joins them. What a checkpoint says is done is not done again.
         """
         spec, self._points = self.problem.spec, points
         try:
