@@ -115,14 +115,17 @@ def settled(
     if not modes:
         return modes
 
-    def signs(known: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-        rates = field(loop, when, x, known, held)
-        return _signs(loop.surfaces, known, *guards(loop, when, x, known, held, rates))
-
     # Only at the start of a run and after rest is any of them 0.
     loop, when, x, held = jax.lax.stop_gradient((loop, when, x, held))
+    rates = field(loop, when, x, modes, held)
+
+    def signs(known: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        return _signs(loop.surfaces, known, *guards(loop, when, x, known, held, rates))
+
     known = functools.reduce(operator.mul, (mode * mode for mode in modes))
-    return rarely(known - 0.5, signs, lambda known: known, modes)
+    # What rests stays undecided: nothing changes a sign that was not found before.
+    motion = sum(jnp.abs(rate) for rate in jax.tree.leaves(rates))
+    return rarely((known - 1.0) * motion, signs, lambda known: known, modes)
 
 
 def _signs(
