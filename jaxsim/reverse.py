@@ -3,7 +3,7 @@
 Left alone, a scan writes for its reverse every intermediate result of every step, an array each:
 1500 steps of the bench with 64 drives then cost 115 runs. Where a step keeps its carry alone, and
 is run again before it is gone back over, that is 16 runs with an array for each leaf of the carry,
-and 6 with one for each kind of number.
+and 6 with one for each kind of number. How many steps do so, `engine` decides.
 """
 
 from __future__ import annotations
