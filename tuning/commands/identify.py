@@ -99,13 +99,14 @@ def _identify(study: Any, spec: Any, console: Any, fitted: Any) -> Any:
 
 def _conclude(study: Any, spec: Any, outcome: Any, rivals: Any, out: Path, console: Any) -> None:
     """Write everything, say how it went."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from tuning.identification import figures, page, report
     from tuning.identification.compare import sentence
 
     report.write(study, spec, outcome, rivals, out)
-    table = Table("parameter", "value", "low", "high", "unit", "verdict")
+    widest = Column("verdict", min_width=12)  # contradicted
+    table = Table("parameter", "value", "low", "high", "unit", widest)
     for name, value, low, high, unit, _, kind, _, _ in report.rows(outcome):
         table.add_row(name, f"{value:.6g}", f"{low:.6g}", f"{high:.6g}", unit, kind)
     console.print(table)
