@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 from test_reproduction_2014 import KNOWN_DISAGREEMENTS as OF_2014
 
+from jaxsim import findings_report
 from jaxsim.commands.reproduce import _chosen, _reproduce, command
 from jaxsim.errors import InputError
 from jaxsim.findings import GROUPS, Findings, Group, Row, against_paper, measured
@@ -206,7 +207,12 @@ class _Broken(Group):
 def test_a_failing_group_does_not_lose_the_others(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     groups = {"broken": _Broken, **_chosen(["design", "disturbance"])}
-    _reproduce(groups, tmp_path, file, Console(quiet=True))
+    found = _reproduce(groups, tmp_path, file, Console(quiet=True))
+    findings_report.write(tmp_path, groups, *found)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert page.count("<img") == 2
+    assert "<td>design.K_P</td>" in page
+    assert "broken failed." in page
     content = json.loads(file.read_text())
     assert "on purpose" in content["failed"]["broken"]
     ids = [row["id"] for row in content["rows"]]

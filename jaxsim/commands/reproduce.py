@@ -26,6 +26,7 @@ def command(
     jaxsim.configure()
     from rich.console import Console
 
+    from jaxsim import findings_report
     from jaxsim.provenance import make_folder
 
     console = Console()
@@ -37,7 +38,8 @@ def command(
         make_folder(option, folder)
     rows, failed = _reproduce(groups, out, file, console)
     _report(rows, failed, console)
-    console.print(f"Figures in {out}, all rows in {file}")
+    findings_report.write(out, groups, rows, failed)
+    console.print(f"Figures and report.html in {out}, all rows in {file}")
     if failed:
         raise typer.Exit(1)
 
