@@ -29,6 +29,17 @@ def _(size: int, batched: list[bool], conditions: Any) -> tuple[Any, bool]:
     return jnp.any(conditions), False
 
 
+@jax.custom_batching.custom_vmap
+def how_many(condition: Scalar) -> Scalar:
+    """For how many members of the batch that a run is in a condition holds."""
+    return condition.astype(jnp.int32)
+
+
+@how_many.def_vmap
+def _(size: int, batched: list[bool], conditions: Any) -> tuple[Any, bool]:
+    return jnp.sum(conditions, dtype=jnp.int32), False
+
+
 def rarely(
     margin: Scalar, inside: Callable[..., Any], outside: Callable[..., Any], *operands: Any
 ) -> Any:
@@ -58,4 +69,4 @@ def hurried(step: Callable[[], Any]) -> tuple[Any, list[Scalar]]:
         _met.reset(token)
 
 
-__all__ = ["any_member", "hurried", "rarely"]
+__all__ = ["any_member", "how_many", "hurried", "rarely"]

@@ -187,19 +187,24 @@ def micro_step(
     if not loop.located:
         return _open_step(loop, c, until, metrics, stored)
     if stored:
-        return _located_step(loop, c, until, metrics, stored)
-    quick, rare = _quick_step(loop, c, until, metrics)
+        return located_step(loop, c, until, metrics, stored)
+    quick, rare = quick_step(loop, c, running(c, until), metrics)
 
     def located(quick: Carry) -> Carry:
-        return choose(rare, _located_step(loop, quick, until, metrics, False)[0], quick)
+        return choose(rare, located_step(loop, quick, until, metrics)[0], quick)
 
     return jax.lax.cond(any_member(rare), located, lambda quick: quick, quick), None
 
 
-def _quick_step(loop: ClosedLoop, c: Carry, until: Any, metrics: Any) -> tuple[Carry, Scalar]:
-    """A step for members to which nothing happens in it; and which are left where they were.
+def running(c: Carry, until: Any) -> Scalar:
+    """Whether a run is still on its way to tick `until`."""
+    return (c.tick < until) & (c.status == Status.OK.value)
 
-    Nineteen of twenty steps of a batch are such ones for all of its members.
+
+def quick_step(loop: ClosedLoop, c: Carry, moves: Scalar, metrics: Any) -> tuple[Carry, Scalar]:
+    """A step of members to which nothing happens in it; and which of those that move are left.
+
+    Nineteen of twenty steps of a member are such ones.
     """
     t = now(loop, c)
     to_tick, to_break = _distances(loop, t, c.elapsed)
@@ -208,9 +213,8 @@ def _quick_step(loop: ClosedLoop, c: Carry, until: Any, metrics: Any) -> tuple[C
     least = _clearance(loop, c, trial)
     for margin in margins:
         least = lesser(margin, least)  # in this order: a metric without a task has a margin of nan
-    active = (c.tick < until) & (c.status == Status.OK.value)
     fine = (least >= 0.0) & _finite(trial.x)
-    return choose(active & fine, new, c), active & ~fine
+    return choose(moves & fine, new, c), moves & ~fine
 
 
 def _open_step(
@@ -262,12 +266,11 @@ def sound(c: Carry, new: Carry) -> Carry:
     return new._replace(x=kept[0], held=kept[1], folds=kept[2], status=status)
 
 
-def _located_step(
-    loop: ClosedLoop, c: Carry, until: Any, metrics: Any, stored: bool
+def located_step(
+    loop: ClosedLoop, c: Carry, until: Any, metrics: Any, stored: bool = False
 ) -> tuple[Carry, Mark | None]:
     """Try, judge, and go on from there; a run that has arrived or failed stays as it is."""
-    active = c.tick < until
-    active = active & (c.status == Status.OK.value)
+    active = running(c, until)
     t = now(loop, c)
     aim = _aim(loop, c, t)
     trial = _try(loop, c, t, aim.h)
@@ -382,4 +385,7 @@ def _mark(loop: ClosedLoop, c: Carry, event: Scalar, slope: Scalar, ticked: Scal
     return Mark(t, ticked, event, jnp.where(event >= 0, slope, 0.0), outputs)
 
 
-__all__ = ["Carry", "Mark", "Piece", "micro_step", "now", "sound", "still"]
+__all__ = [
+    "Carry", "Mark", "Piece", "located_step", "micro_step", "now", "quick_step", "running",
+    "sound", "still",
+]  # fmt: skip
