@@ -174,19 +174,18 @@ def _arrived(loop: ClosedLoop, carry: Carry, until: Any, metrics: Any, steps: in
 
 def _open(loop: ClosedLoop, carry: Carry, until: Any, metrics: Any, steps: int) -> Carry:
     """Micro-steps in blocks of those after which one looks for what has diverged."""
-    State = tuple[Carry, Scalar]
 
-    def going(state: State) -> Scalar:
+    def going(state: tuple[Carry, Scalar]) -> Scalar:
         return any_member(running(state[0], until)) & (state[1] < steps)
 
-    def micro(state: State) -> State:
+    def micro(state: tuple[Carry, Scalar]) -> tuple[Carry, Scalar]:
         c, count = state
         return micro_step(loop, c, until, metrics, False)[0], count + 1
 
-    def block(state: State) -> State:
+    def block(state: tuple[Carry, Scalar]) -> tuple[Carry, Scalar]:
         last = jnp.minimum(state[1] + _cut(loop, steps).steps, steps)
 
-        def inside(state: State) -> Scalar:
+        def inside(state: tuple[Carry, Scalar]) -> Scalar:
             return any_member(state[0].tick < until) & (state[1] < last)
 
         new, count = jax.lax.while_loop(inside, micro, state)
