@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import shutil
 import subprocess
 import tempfile
@@ -44,6 +45,8 @@ def _library(source: Path, dtype: str, lanes: int) -> ctypes.CDLL:
         str(made),
     ]
     subprocess.run([*command, "-lm"], check=True)
+    # Else its threads wait for more work by spinning, and take a core from whoever runs next.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     return ctypes.CDLL(str(made))
 
 
