@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,8 +61,11 @@ def _convert(text: str, unit: str) -> float:
 
 @functools.cache
 def _registry() -> Any:
-    import pint  # 0.3 s; only files that use units pay it
+    import jax
+    import pint  # 0.2 s; only files that use units pay it
 
-    units = pint.UnitRegistry()
+    # Where configure() has been allowed to keep things: reading the definitions takes 0.1 s more.
+    kept = jax.config.values["jax_compilation_cache_dir"]
+    units = pint.UnitRegistry(cache_folder=Path(kept) / "units" if kept else None)
     units.define("newton_meter = newton * meter = Nm")
     return units
