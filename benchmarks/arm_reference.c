@@ -6,18 +6,9 @@
    together, one per element of a vector; groups of arms go over threads. REAL is double or float.
 
    State of joint j: [6 j] theta_L, omega_L, theta_B, omega_M, current, integral of the error. */
-#include <math.h>
+#include "lanes.h"
 
-#ifndef REAL
-#define REAL double
-#endif
-#ifndef LANES
-#define LANES 32
-#endif
 #define STATES 12
-#define EACH for (int l = 0; l < LANES; l++)
-
-typedef REAL lanes[LANES];
 
 static const REAL L = 0.32e-3, R = 0.664, K_t = 0.041, K_w = 0.041, J_M = 1.387e-5, D_M = 1.996e-5,
                   K_2 = 912, N = 150, inertia_1 = 0.3047, inertia_2 = 0.0871, coupling = 0.0954,

@@ -5,18 +5,9 @@
    one per element of a vector; groups of drives go over threads. REAL is double or float.
 
    State: omega_L, omega_M, theta_L, theta_B, derivative filter, reference filter. */
-#include <math.h>
+#include "lanes.h"
 
-#ifndef REAL
-#define REAL double
-#endif
-#ifndef LANES
-#define LANES 32
-#endif
 #define STATES 6
-#define EACH for (int l = 0; l < LANES; l++)
-
-typedef REAL lanes[LANES];
 
 static const REAL J_M = 8.78e-4, D_M = 9.30e-2, K = 3.00e2, D_B = 1.00e-1, J_L = 8.78e-4,
                   D_L = 3.60e-2;

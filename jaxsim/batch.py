@@ -100,6 +100,8 @@ def map_members(function: Callable[..., Any], *trees: Any, located: bool = True)
     chunks over the cores; else, and on other hardware than a CPU, by one `jax.vmap`. A member's
     numbers are the same to the bit in every batch of two and more; alone, where lanes and a second
     core would only cost time (four times as much), to rounding.
+
+    located: whether runs in it locate their events, and so carry more from step to step.
     """
     own, shared, one = _separated(function, trees)
     chunk = jax.vmap(one, in_axes=(0, None))
